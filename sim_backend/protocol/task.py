@@ -1,0 +1,54 @@
+"""What a client asks of a world when it lays out a new episode."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, Self
+
+Part = Literal["tr", "rtr", "trm", "cir", "b-rtr", "b-trm"]
+Conditions = Literal["standard", "easy"]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One episode: everything else (hole pose, noise, grasp, plant) is drawn from `seed` under `conditions`.
+
+    Attributes:
+        seed: same seed, same world, bit for bit.
+        part: peg and hole.
+        clearance_m: distance between peg and wall when centred, per face, m.
+        conditions: which distributions to draw from; `docs/conditions.md`.
+        randomise_plant: draw friction, stiffness, delay, mass (training); otherwise nominal values (test).
+    """
+
+    seed: int
+    part: Part = "tr"
+    clearance_m: float = 2.0e-3
+    conditions: Conditions = "standard"
+    randomise_plant: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, document: dict[str, Any]) -> Self:
+        """Build from JSON.
+
+        Raises:
+            ValueError: unknown or missing field, or a value out of range; the text names it.
+        """
+        try:
+            task = cls(**document)
+        except TypeError as error:
+            raise ValueError(f"task: {error}") from error
+        task.check()
+        return task
+
+    def check(self) -> None:
+        """Raise ValueError, naming the field, for a value that no world can be built from."""
+        if not isinstance(self.seed, int) or self.seed < 0:
+            raise ValueError(f"task.seed must be a non-negative integer, not {self.seed!r}")
+        if self.part not in Part.__args__:
+            raise ValueError(f"task.part must be one of {', '.join(Part.__args__)}, not {self.part!r}")
+        if self.conditions not in Conditions.__args__:
+            raise ValueError(f"task.conditions must be one of {', '.join(Conditions.__args__)}, not {self.conditions!r}")
+        if not 0.05e-3 <= self.clearance_m <= 6e-3:
+            raise ValueError(f"task.clearance_m must lie in 0.05e-3 … 6e-3 m, not {self.clearance_m!r}")

@@ -1,0 +1,145 @@
+"""Fixed-layout, little-endian, versioned messages of the simulated cell.
+
+Two packed records: `STATE`, one per 2 ms tick from the cell, and `COMMAND`, from a client. Every record
+starts with the same eight bytes (magic, version, kind), so a reader refuses what it cannot read before it reads on.
+Changing a layout means raising `VERSION`. Frames, units and signs are those of `docs/architecture.md`.
+"""
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+MAGIC = 0x4C534444  # "DDSL" in the byte order of the wire
+VERSION = 1
+TICK_S = 0.002
+"""Period of the cell's control law and of its state messages: the 500 Hz of a UR e-Series controller."""
+
+
+class WireError(ValueError):
+    """A message that is not one of ours; the text says which check failed."""
+
+
+class Kind(IntEnum):
+    STATE = 1
+    ENGAGE = 2
+    """Start the control program with the law and limits in the record; the target is the pose at that moment."""
+    TARGET = 3
+    """A TCP pose target. Ignored unless engaged, and unless its `seq` is above every earlier one of this client."""
+    STOP = 4
+    """Decelerate, hold and disengage. Accepted from anyone, in any state."""
+    ZERO_FT = 5
+    """Take the present raw wrench as the zero, as `zero_ftsensor()` does. Refused while engaged."""
+    UNLOCK = 6
+    """Leave the protective stop: an operator's action."""
+
+
+class Program(IntEnum):
+    """State of the control program that runs the compliance law on the arm's controller."""
+
+    IDLE = 0
+    ENGAGED = 1
+    STOPPING = 2
+    PROTECTIVE_STOP = 3
+
+
+class StopReason(IntEnum):
+    """Why the control program last left ENGAGED."""
+
+    NONE = 0
+    COMMAND = 1
+    FORCE_CEILING = 2
+    TARGET_AGE = 3
+    TARGET_REJECTED = 4
+    """A target outside the workspace, not finite, or further from the last one than the step limit."""
+    JOINT_LIMIT = 5
+    KINEMATICS = 6
+    """No inverse solution, or too close to a singularity."""
+    PROTECTIVE_FORCE = 7
+    """The arm's own protection: far more force than the ceiling, or a joint that cannot follow."""
+    LEASE = 8
+    """Another client engaged."""
+
+
+_HEADER: list[Any] = [("magic", "<u4"), ("version", "<u2"), ("kind", "<u2")]
+
+STATE = np.dtype(
+    [
+        *_HEADER,
+        ("epoch", "<u8"),  # drawn at random when the world process starts
+        ("episode", "<u8"),  # world resets since then
+        ("seq", "<u8"),  # ticks since then; strictly increasing by one
+        ("time_s", "<f8"),  # simulated time of the sample
+        ("q", "<f8", 6),
+        ("qd", "<f8", 6),
+        ("tcp_position", "<f8", 3),  # measured: from the joint encoders
+        ("tcp_rotvec", "<f8", 3),
+        ("tcp_velocity", "<f8", 6),
+        ("target_position", "<f8", 3),  # the target in force
+        ("target_rotvec", "<f8", 3),
+        ("wrench", "<f8", 6),  # at the TCP, base frame, zeroed and payload-compensated, as delayed and noisy as the sensor is
+        ("ft_raw", "<f8", 6),  # sensor frame (flange), neither zeroed nor compensated
+        ("hole_estimate", "<f8", 3),  # centre of the hole's mouth by the camera; NaN without one
+        ("peak_force", "<f8"),  # largest resultant of the compensated force since ENGAGE, by the controller itself, N
+        ("command_seq", "<u8"),  # last command accepted
+        ("client", "<u8"),  # client that engaged last
+        ("program", "<u2"),
+        ("stop_reason", "<u2"),
+        ("robot_mode", "<i2"),  # UR numbering; 7 is running
+        ("safety_mode", "<i2"),  # UR numbering; 1 normal, 3 protective stop
+        ("saturated", "<u2"),  # 1 where a raw channel is at the end of the sensor's range
+        ("reserved", "V6"),
+    ],
+    align=False,
+)
+
+COMMAND = np.dtype(
+    [
+        *_HEADER,
+        ("client", "<u8"),  # identity of the sender, drawn at random
+        ("epoch", "<u8"),  # world that the command is meant for; others ignore it. STOP is accepted with any epoch
+        ("seq", "<u8"),
+        ("position", "<f8", 3),  # TARGET
+        ("rotvec", "<f8", 3),
+        ("stiffness", "<f8", 6),  # ENGAGE, N/m and N·m/rad about the TCP, base axes
+        ("damping", "<f8", 6),  # ENGAGE, N·s/m and N·m·s/rad
+        ("inertia", "<f8", 6),  # ENGAGE, virtual mass kg and inertia kg·m²
+        ("max_speed", "<f8", 2),  # ENGAGE, m/s and rad/s of the reference
+        ("max_step", "<f8", 2),  # ENGAGE, largest change of target, m and rad
+        ("workspace", "<f8", (2, 3)),  # ENGAGE, box for the TCP's position, lower and upper corner
+        ("force_ceiling", "<f8"),  # ENGAGE, N, resultant
+        ("target_age", "<f8"),  # ENGAGE, s of simulated time without a new target before the program stops
+    ],
+    align=False,
+)
+
+
+def new(dtype: np.dtype[Any], kind: Kind) -> npt.NDArray[Any]:
+    """Return a zeroed record of `dtype`, shape (1,), with its header filled in."""
+    record = np.zeros(1, dtype)
+    record["magic"], record["version"], record["kind"] = MAGIC, VERSION, kind
+    return record
+
+
+def decode(payload: bytes, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    """Read one or more records.
+
+    Args:
+        payload: one or more whole records of `dtype`.
+        dtype: `STATE` or `COMMAND`.
+
+    Returns:
+        (n,) read-only array over `payload`.
+
+    Raises:
+        WireError: the length, magic or version is not ours. Values are not judged here.
+    """
+    if not payload or len(payload) % dtype.itemsize:
+        raise WireError(f"{len(payload)} bytes are not a whole number of {dtype.itemsize}-byte records")
+    records = np.frombuffer(payload, dtype)
+    if not (records["magic"] == MAGIC).all():
+        raise WireError(f"wrong magic {int(records['magic'][0]):#x}, want {MAGIC:#x}")
+    if not (records["version"] == VERSION).all():
+        raise WireError(f"schema version {int(records['version'][0])}, this side reads {VERSION}")
+    return records
