@@ -1,0 +1,290 @@
+"""An asynchronous client of one cell's control process, over Zenoh.
+
+>>> async with CellClient("cell-1", connect=["tcp/127.0.0.1:7447"]) as cell:  # doctest: +SKIP
+...     run = await cell.start(StartRequest(recipe="triangle-2mm", seed=7))
+...     await cell.stop(StopRequest(reason="enough"))
+"""
+
+import asyncio
+import time
+from collections.abc import AsyncGenerator, Callable, Sequence
+from contextlib import asynccontextmanager
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import zenoh
+from pydantic import TypeAdapter, ValidationError
+
+from service import messages
+from service.messages import (
+    CellState,
+    Event,
+    Message,
+    Problem,
+    Refused,
+    ResetRequest,
+    Run,
+    RunRequest,
+    RunResult,
+    RunsRequest,
+    StartRequest,
+    Status,
+    StopRequest,
+    Telemetry,
+)
+from service.transport import close_session, open_session
+
+SILENCE_S = 0.5
+"""Age of the last heartbeat at which a cell is called silent: ten heartbeats."""
+QUEUE_LENGTH = 256
+"""Messages held for a subscriber that does not read; the oldest goes first."""
+
+
+T = TypeVar("T")
+MessageT = TypeVar("MessageT", bound=Message)
+
+
+class CellError(Exception):
+    """Root of what this client raises."""
+
+
+class CellSilentError(CellError):
+    """No answer from the control process: it is not running, is frozen, or cannot be reached."""
+
+
+class CellRefusedError(CellError):
+    """The cell answered, and refused."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem.detail)
+        self.problem = problem
+
+
+class CellClient:
+    """Talks to one cell. Every method belongs to the event loop that entered the context.
+
+    Args:
+        cell: the cell's id.
+        connect: endpoints of its control process.
+        clock: monotonic seconds, for the heartbeat's age.
+    """
+
+    def __init__(self, cell: str, connect: Sequence[str], clock: Callable[[], float] = time.monotonic) -> None:
+        self._cell = cell
+        self._connect = tuple(connect)
+        self._clock = clock
+        self._session: zenoh.Session | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._status: Status | None = None
+        self._heard_at: float | None = None
+        self._status_queues: set[asyncio.Queue[Status]] = set()
+        self._event_queues: set[asyncio.Queue[Event]] = set()
+        self._telemetry_queues: set[asyncio.Queue[Telemetry]] = set()
+
+    async def __aenter__(self) -> Self:
+        await self.open()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def open(self) -> None:
+        """Open the session and subscribe; returns whether or not the cell is there yet."""
+        self._loop = asyncio.get_running_loop()
+        session = await asyncio.to_thread(open_session, connect=self._connect)
+        self._session = session
+        self._subscribe(session, messages.STATUS, Status, self._on_status)
+        self._subscribe(session, messages.EVENT, Event, lambda event: _offer(self._event_queues, event))
+        self._subscribe(session, messages.TELEMETRY, Telemetry, lambda point: _offer(self._telemetry_queues, point))
+
+    async def close(self) -> None:
+        session, self._session = self._session, None
+        if session is not None:
+            await asyncio.to_thread(close_session, session)
+
+    # --- commands
+
+    async def start(self, request: StartRequest, timeout_s: float = 10.0) -> RunResult:
+        """Ask for one insertion.
+
+        Returns:
+            The run that was accepted, or the one that the idempotency key found.
+
+        Raises:
+            CellRefusedError: with the cell's reason.
+            CellSilentError: no answer in time. Whether the run was accepted is then not known: ask again with the
+                same idempotency key.
+        """
+        return _unwrap(await self._ask(messages.START, request, messages.RUN_ANSWER, timeout_s))
+
+    async def stop(self, request: StopRequest, timeout_s: float = 1.0) -> Status:
+        """Stop whatever moves; the answer comes once the stop command has left.
+
+        Raises:
+            CellSilentError: no answer in time.
+        """
+        return _unwrap(await self._ask(messages.STOP, request, messages.STATUS_ANSWER, timeout_s)).status
+
+    async def reset(self, request: ResetRequest, timeout_s: float = 5.0) -> Status:
+        """Acknowledge the latched fault; moves nothing.
+
+        Raises:
+            CellRefusedError: nothing is latched, another code is in force, force is above the limit, no fresh samples.
+            CellSilentError: no answer in time.
+        """
+        return _unwrap(await self._ask(messages.RESET, request, messages.STATUS_ANSWER, timeout_s)).status
+
+    # --- queries
+
+    async def status(self, timeout_s: float = 1.0) -> Status:
+        """Ask for the status now; `last_status` costs nothing and is at most a heartbeat old.
+
+        Raises:
+            CellSilentError: no answer in time.
+        """
+        return _unwrap(await self._ask(messages.QUERY_STATUS, None, messages.STATUS_ANSWER, timeout_s)).status
+
+    async def runs(self, request: RunsRequest | None = None, timeout_s: float = 5.0) -> tuple[Run, ...]:
+        """Return runs, newest first.
+
+        Raises:
+            CellSilentError: no answer in time.
+        """
+        request = request or RunsRequest()
+        return _unwrap(await self._ask(messages.QUERY_RUNS, request, messages.RUNS_ANSWER, timeout_s)).runs
+
+    async def run(self, run_id: str, timeout_s: float = 5.0) -> Run:
+        """Return one run.
+
+        Raises:
+            CellRefusedError: `UNKNOWN_RUN`.
+            CellSilentError: no answer in time.
+        """
+        request = RunRequest(run_id=run_id)
+        return _unwrap(await self._ask(messages.QUERY_RUN, request, messages.RUN_ANSWER, timeout_s)).run
+
+    # --- the heartbeat
+
+    @property
+    def last_status(self) -> Status | None:
+        """The last heartbeat, however old; None before the first."""
+        return self._status
+
+    @property
+    def heartbeat_age_s(self) -> float:
+        """Time since the last heartbeat; infinite before the first."""
+        return float("inf") if self._heard_at is None else self._clock() - self._heard_at
+
+    @property
+    def is_alive(self) -> bool:
+        return self.heartbeat_age_s <= SILENCE_S
+
+    @property
+    def state(self) -> CellState:
+        """The cell's state by its last heartbeat, UNKNOWN when it is silent."""
+        if self._status is None or not self.is_alive:
+            return CellState.UNKNOWN
+        return self._status.state
+
+    # --- subscriptions
+
+    @asynccontextmanager
+    async def statuses(self) -> AsyncGenerator[asyncio.Queue[Status]]:
+        """Subscribe to heartbeats for as long as the context lasts."""
+        async with _subscription(self._status_queues) as queue:
+            yield queue
+
+    @asynccontextmanager
+    async def events(self) -> AsyncGenerator[asyncio.Queue[Event]]:
+        """Subscribe to events; a reader that falls `QUEUE_LENGTH` behind loses the oldest, seen as a gap in `seq`."""
+        async with _subscription(self._event_queues) as queue:
+            yield queue
+
+    @asynccontextmanager
+    async def telemetry(self) -> AsyncGenerator[asyncio.Queue[Telemetry]]:
+        """Subscribe to telemetry points."""
+        async with _subscription(self._telemetry_queues) as queue:
+            yield queue
+
+    # --- below the surface
+
+    def _on_status(self, status: Status) -> None:
+        self._status, self._heard_at = status, self._clock()
+        _offer(self._status_queues, status)
+
+    def _subscribe(
+        self, session: zenoh.Session, key: str, model: type[MessageT], deliver: Callable[[MessageT], None]
+    ) -> None:
+        loop = asyncio.get_running_loop()
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            try:
+                message = model.model_validate_json(sample.payload.to_bytes())
+            except ValidationError:
+                return  # another version's message is no heartbeat: the cell turns UNKNOWN
+            _call_in_loop(loop, deliver, message)
+
+        session.declare_subscriber(key.format(cell=self._cell), on_sample)
+
+    async def _ask(self, key: str, request: Message | None, answer: TypeAdapter[T], timeout_s: float) -> T:
+        if self._session is None:
+            raise RuntimeError("the client is not open: use it as `async with CellClient(...)`")
+        loop = asyncio.get_running_loop()
+        reply: asyncio.Future[bytes | None] = loop.create_future()
+
+        def resolve(payload: bytes | None) -> None:
+            if not reply.done():
+                reply.set_result(payload)
+
+        def on_reply(result: zenoh.Reply) -> None:
+            _call_in_loop(loop, resolve, result.ok.payload.to_bytes() if result.ok is not None else None)
+
+        self._session.get(
+            key.format(cell=self._cell),
+            zenoh.handlers.Callback(on_reply, lambda: _call_in_loop(loop, resolve, None)),
+            payload=b"" if request is None else request.model_dump_json().encode(),
+            timeout=timeout_s,
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+            express=True,
+        )
+        payload = await reply
+        if payload is None:
+            raise CellSilentError(
+                f"no answer from cell {self._cell} at {', '.join(self._connect)} within {timeout_s} s: "
+                "is `python -m service run` up?"
+            )
+        return answer.validate_json(payload)
+
+
+def _call_in_loop(loop: asyncio.AbstractEventLoop, callback: Callable[..., object], *args: Any) -> None:
+    # Zenoh's threads may outlive the loop by a moment at shutdown.
+    try:
+        loop.call_soon_threadsafe(callback, *args)
+    except RuntimeError:
+        if not loop.is_closed():
+            raise
+
+
+def _offer(queues: set[asyncio.Queue[T]], item: T) -> None:
+    for queue in queues:
+        if queue.full():
+            queue.get_nowait()
+        queue.put_nowait(item)
+
+
+@asynccontextmanager
+async def _subscription(queues: set[asyncio.Queue[T]]) -> AsyncGenerator[asyncio.Queue[T]]:
+    queue: asyncio.Queue[T] = asyncio.Queue(QUEUE_LENGTH)
+    queues.add(queue)
+    try:
+        yield queue
+    finally:
+        queues.discard(queue)
+
+
+def _unwrap(answer: T | Refused) -> T:
+    if isinstance(answer, Refused):
+        raise CellRefusedError(answer.problem)
+    return answer
