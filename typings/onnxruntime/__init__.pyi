@@ -1,0 +1,5 @@
+"""ONNX Runtime ships without `py.typed`, its session half annotated: what comes out of it is checked where it enters."""
+
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...
