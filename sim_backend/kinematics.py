@@ -123,7 +123,7 @@ def inverse(position: npt.ArrayLike, rotation: npt.ArrayLike, q_near: npt.ArrayL
         position: (..., 3) of the flange, base frame.
         rotation: (..., 3, 3) of the flange.
         q_near: (..., 6) joint angles to stay near to, within the joint range. With the wrist singular, joint 6 keeps
-            its value. Next to a limit the nearest solution can be a whole turn or another branch away, so a caller that
+            its value, even where only another one would do. Next to a limit the nearest solution can be a whole turn or another branch away, so a caller that
             follows a path has to check the step it gets.
 
     Raises:
@@ -134,8 +134,8 @@ def inverse(position: npt.ArrayLike, rotation: npt.ArrayLike, q_near: npt.ArrayL
         positions = np.broadcast_to(np.asarray(position, np.float64), (*found.shape, 3))
         x, y, z = positions[~found][0]
         raise KinematicsError(
-            f"no joint angles within range bring the UR3e's flange to [{x:.4f}, {y:.4f}, {z:.4f}] m with the orientation asked for"
-            f" ({int((~found).sum())} of {found.size} poses); move the target closer to the base or turn it"
+            f"no joint angles within range bring the UR3e's flange to [{x:.4f}, {y:.4f}, {z:.4f}] m in the orientation"
+            f" asked for ({int((~found).sum())} of {found.size} poses); move the target closer to the base or turn it"
         )
     return q
 
