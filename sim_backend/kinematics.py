@@ -123,8 +123,8 @@ def inverse(position: npt.ArrayLike, rotation: npt.ArrayLike, q_near: npt.ArrayL
         position: (..., 3) of the flange, base frame.
         rotation: (..., 3, 3) of the flange.
         q_near: (..., 6) joint angles to stay near to, within the joint range. With the wrist singular, joint 6 keeps
-            its value, even where only another one would do. Next to a limit the nearest solution can be a whole turn or another branch away, so a caller that
-            follows a path has to check the step it gets.
+            its value, even where only another one would do. Next to a limit the nearest solution can be a whole turn
+            or another branch away, so a caller that follows a path has to check the step it gets.
 
     Raises:
         KinematicsError: a pose has no solution within the joint range.
