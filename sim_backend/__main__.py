@@ -1,0 +1,105 @@
+"""Command line of the simulated cell: `python -m sim_backend serve` and `python -m sim_backend render`."""
+
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, NoReturn, get_args
+
+import typer
+
+from sim_backend import rendering
+from sim_backend.cell import SimulatedCell
+from sim_backend.protocol.task import Part, Task
+from sim_backend.realtime import request_scheduling
+from sim_backend.server import Mode, Server
+from sim_backend.session import EndpointError, open_session
+
+EXIT_USAGE = 2
+"""The request cannot be met as stated: a bad option, a port in use."""
+EXIT_NO_RENDERING = 3
+"""This machine lacks what rendering needs."""
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+_PARTS = ", ".join(get_args(Part))
+
+
+@app.command()
+def serve(
+    world: Annotated[str, typer.Option(help="Name of the world in its Zenoh keys, sim/<world>/….")] = "cell-1",
+    mode: Annotated[Mode, typer.Option(help="Who lets simulated time pass: the wall clock, or the client.")] = (
+        Mode.REAL_TIME
+    ),
+    listen: Annotated[list[str] | None, typer.Option(help="Endpoint to listen at; may be repeated.")] = None,
+    connect: Annotated[list[str] | None, typer.Option(help="Endpoint to join; may be repeated.")] = None,
+    part: Annotated[str, typer.Option(help=f"Peg and hole of the first episode: {_PARTS}.")] = "tr",
+    seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
+    allow_remote: Annotated[bool, typer.Option(help="Allow endpoints outside this machine.")] = False,
+) -> None:
+    """Serve a simulated cell over Zenoh until SIGINT or SIGTERM."""
+    _exit_on_signals()
+    endpoints = listen or ["tcp/127.0.0.1:7447"]
+    try:
+        task = Task.from_json({"seed": seed, "part": part})
+        session = open_session(endpoints, connect or [], allow_remote=allow_remote)
+    except (EndpointError, ValueError) as error:
+        _fail(str(error), EXIT_USAGE)
+    with session:
+        cell = SimulatedCell(seed=seed)
+        cell.reset(task)
+        # After the session, so that Zenoh's threads keep ordinary scheduling.
+        refused = request_scheduling() if mode is Mode.REAL_TIME else []
+        for line in refused:
+            typer.echo(f"degraded: {line}", err=True)
+        try:
+            server = Server(cell, session, world, mode, refused)
+        except ValueError as error:
+            _fail(str(error), EXIT_USAGE)
+        typer.echo(f"ready world={world} mode={mode} epoch={cell.epoch} listen={','.join(endpoints)}")
+        sys.stdout.flush()
+        server.run()
+
+
+@app.command()
+def render(
+    out: Annotated[Path, typer.Option(help="PNG file to write.")],
+    seed: Annotated[int, typer.Option(help="Seed of the episode.")] = 0,
+    part: Annotated[str, typer.Option(help=f"Peg and hole: {_PARTS}.")] = "tr",
+    camera: Annotated[str, typer.Option(help=f"One of {', '.join(rendering.CAMERAS)}.")] = "overview",
+    width: Annotated[int, typer.Option(min=16, max=1920)] = 1280,
+    height: Annotated[int, typer.Option(min=16, max=1080)] = 720,
+) -> None:
+    """Draw the start of an episode."""
+    try:
+        task = Task.from_json({"seed": seed, "part": part})
+        cell = SimulatedCell(seed=seed)
+        cell.reset(task)
+        with rendering.Renderer(cell.model, width, height) as renderer:
+            picture = renderer.draw(cell.data(), camera)
+        rendering.write_png(out, picture)
+    except rendering.RenderingUnavailableError as error:
+        _fail(str(error), EXIT_NO_RENDERING)
+    except (ValueError, OSError) as error:
+        _fail(str(error), EXIT_USAGE)
+    typer.echo(f"wrote {out} ({width}x{height}, {camera})")
+
+
+def _exit_on_signals() -> None:
+    """Turn the first SIGINT or SIGTERM into SystemExit, which closes the session on its way out; ignore later ones."""
+
+    def leave(_number: int, _frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        raise SystemExit(0)
+
+    signal.signal(signal.SIGINT, leave)
+    signal.signal(signal.SIGTERM, leave)
+
+
+def _fail(text: str, code: int) -> NoReturn:
+    typer.echo(f"sim_backend: {text}", err=True)
+    raise typer.Exit(code)
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,115 @@
+"""Pictures of a scene, off screen. Needs EGL (or OSMesa); everything else in this project does without."""
+
+import os
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+CAMERAS = ("overview", "side", "hole", "wrist")
+_REMEDY = "On Debian: apt-get install -y libegl1 libgl1 (software rendering, no GPU needed)"
+
+
+class RenderingUnavailableError(RuntimeError):
+    """This machine cannot draw; the text says why and what to install."""
+
+
+class Renderer:
+    """Draws one model from its named cameras. A context manager; use it from one thread."""
+
+    def __init__(self, model: mujoco.MjModel, width: int = 1280, height: int = 720) -> None:
+        """Make an OpenGL context and upload the model.
+
+        `MUJOCO_GL` chooses `egl` (the default) or `osmesa`.
+
+        Args:
+            model: compiled.
+            width: of the pictures, pixels.
+            height: of the pictures, pixels.
+
+        Raises:
+            RenderingUnavailableError: no such context can be made here.
+        """
+        self._model = model
+        self._viewport = mujoco.MjrRect(0, 0, width, height)
+        self._gl = _new_context(width, height)
+        self._scene = mujoco.MjvScene(model, 2000)
+        self._option = mujoco.MjvOption()
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        mujoco.mjr_resizeOffscreen(width, height, self._context)
+
+    def __enter__(self) -> "Renderer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def draw(self, data: mujoco.MjData, camera: str = "overview") -> npt.NDArray[np.uint8]:
+        """Draw a state.
+
+        Args:
+            data: of the same model, with its kinematics computed.
+            camera: name of a camera in the model.
+
+        Returns:
+            (height, width, 3) uint8, RGB, top row first.
+
+        Raises:
+            ValueError: no such camera.
+        """
+        index = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
+        if index < 0:
+            names = ", ".join(self._model.camera(i).name for i in range(self._model.ncam))
+            raise ValueError(f"no camera {camera!r} in the scene, it has {names}")
+        view = mujoco.MjvCamera()
+        view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        view.fixedcamid = index
+        mujoco.mjv_updateScene(
+            self._model, data, self._option, None, view, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
+        )
+        self._gl.make_current()
+        mujoco.mjr_render(self._viewport, self._scene, self._context)
+        picture = np.empty((self._viewport.height, self._viewport.width, 3), np.uint8)
+        mujoco.mjr_readPixels(picture, None, self._viewport, self._context)
+        return np.ascontiguousarray(picture[::-1])
+
+    def close(self) -> None:
+        """Free the context; the renderer draws no more."""
+        self._context.free()
+        self._gl.free()
+
+
+def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
+    """Write (height, width, 3) uint8 RGB as PNG (RFC 2083): no imaging library at run time for this alone."""
+    height, width, _ = picture.shape
+    rows = np.zeros((height, 1 + 3 * width), np.uint8)  # each row starts with its filter type, 0: none
+    rows[:, 1:] = picture.reshape(height, 3 * width)
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)  # 8 bits per channel, colour type 2: RGB
+    body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows.tobytes(), 9)) + chunk(b"IEND", b"")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + body)
+
+
+def _new_context(width: int, height: int) -> Any:
+    """Return a current off-screen OpenGL context, made without mujoco's own choice, which is fixed at import."""
+    backend = os.environ.get("MUJOCO_GL") or "egl"
+    if backend not in ("egl", "osmesa"):
+        raise RenderingUnavailableError(f"MUJOCO_GL={backend} is not an off-screen backend, use egl or osmesa")
+    try:
+        if backend == "egl":
+            from mujoco.egl import GLContext
+        else:
+            from mujoco.osmesa import GLContext
+        context = GLContext(width, height)
+        context.make_current()
+    except Exception as error:  # a missing library is ImportError, AttributeError, TypeError or PyOpenGL's own
+        raise RenderingUnavailableError(f"no {backend} rendering on this machine ({error}). {_REMEDY}") from error
+    return context
