@@ -1,0 +1,250 @@
+"""Judges every sensor sample of one cell, at 500 Hz, apart from the policy, the run and everything slower.
+
+Plain floats and `math`: on six numbers numpy's call overhead would be most of the time.
+"""
+
+from dataclasses import dataclass, fields
+from math import hypot, inf, isfinite
+
+import numpy as np
+import numpy.typing as npt
+
+from service.faults import FaultCode
+from service.safety.verdict import IGNORED, PASSED, Verdict
+
+FORCE_HARD_MAXIMUM_N = 50.0
+"""No configuration may set a force ceiling above this."""
+TORQUE_HARD_MAXIMUM_NM = 10.0
+"""No configuration may set a torque ceiling above this: the end of the sensor's range."""
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorParameters:
+    """Limits of a sample.
+
+    Attributes:
+        force_ceiling_n: resultant force that trips, N.
+        torque_ceiling_nm: resultant torque at the TCP that trips, N·m.
+        force_range_n: a force component at or beyond this is at the end of the sensor's range and trips as well.
+        torque_range_nm: likewise for torque.
+        stuck_samples: this many bit-identical wrenches in a row mean that the sensor is stuck.
+        max_age_s: age of the newest sample from which the cell is blind, s.
+        max_gap_s: largest step forward between the time stamps of two samples that follow each other, s.
+    """
+
+    force_ceiling_n: float
+    torque_ceiling_nm: float
+    force_range_n: float
+    torque_range_nm: float
+    stuck_samples: int = 10
+    max_age_s: float = 0.02
+    max_gap_s: float = 0.02
+
+    def __post_init__(self) -> None:
+        """Refuse limits that guard nothing.
+
+        Raises:
+            ValueError: the text names the field.
+        """
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (isfinite(value) and value > 0):
+                raise ValueError(f"monitor.{field.name} must be finite and above zero, not {value!r}")
+        if self.force_ceiling_n > FORCE_HARD_MAXIMUM_N:
+            raise ValueError(
+                f"monitor.force_ceiling_n is {self.force_ceiling_n:g} N, "
+                f"above the hard maximum of {FORCE_HARD_MAXIMUM_N:g} N"
+            )
+        if self.torque_ceiling_nm > TORQUE_HARD_MAXIMUM_NM:
+            raise ValueError(
+                f"monitor.torque_ceiling_nm is {self.torque_ceiling_nm:g} N·m, "
+                f"above the hard maximum of {TORQUE_HARD_MAXIMUM_NM:g} N·m"
+            )
+        if self.stuck_samples < 2:
+            raise ValueError("monitor.stuck_samples must be 2 or more: one sample cannot repeat itself")
+
+
+class Monitor:
+    """Judge of one cell's samples; not shared between cells or threads.
+
+    It decides about one sample at a time and latches nothing: the first fault must stop the cell for good, which is
+    the caller's latch.
+    """
+
+    __slots__ = (
+        "_arrival",
+        "_episode",
+        "_epoch",
+        "_force",
+        "_parameters",
+        "_peak",
+        "_repeats",
+        "_seq",
+        "_time",
+        "_wrench_bytes",
+    )
+
+    def __init__(self, parameters: MonitorParameters) -> None:
+        self._parameters = parameters
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget source, sequence and peak: the next sample is the first. For a new connection or a new episode."""
+        self._epoch: int | None = None
+        self._episode = 0
+        self._seq = -1
+        self._time: float | None = None
+        self._arrival = -inf
+        self._wrench_bytes = b""
+        self._repeats = 1
+        self._force = 0.0
+        self._peak = 0.0
+
+    @property
+    def force_n(self) -> float:
+        """Resultant force of the newest finite sample, N."""
+        return self._force
+
+    @property
+    def peak_force_n(self) -> float:
+        """Largest resultant force of any finite sample since `reset` or `clear_peak`, N."""
+        return self._peak
+
+    def clear_peak(self) -> None:
+        """Start a new peak, at the start of a run."""
+        self._peak = 0.0
+
+    def check(
+        self,
+        *,
+        epoch: int,
+        episode: int,
+        seq: int,
+        time_s: float,
+        wrench: npt.NDArray[np.float64],
+        motion: npt.NDArray[np.float64],
+        saturated: bool,
+        now: float,
+    ) -> Verdict:
+        """Judge one sample, on arrival.
+
+        Args:
+            epoch: identity of the source; 0 where it has none.
+            episode: count of world resets; 0 where there are none.
+            seq: counts up within an episode.
+            time_s: the source's stamp, s. Never used as an age: clocks step.
+            wrench: (6,) N, N·m at the TCP, base frame, not clipped.
+            motion: any shape; the other numbers of the sample that the cell goes by (pose, velocity). Only their
+                finiteness is judged.
+            saturated: a raw channel is at the end of the sensor's range.
+            now: arrival, s, of the caller's monotonic clock.
+
+        Returns:
+            `PASSED`, `IGNORED` (a duplicate or an older sample, which refreshes nothing), or a fault.
+        """
+        limits = self._parameters
+        if self._epoch is None:
+            self._epoch, self._episode = epoch, episode
+        elif epoch != self._epoch or episode != self._episode:
+            return self._other_source(epoch, episode, now)
+        elif seq <= self._seq:
+            return IGNORED
+        self._seq = seq
+
+        fx, fy, fz, tx, ty, tz = wrench.tolist()
+        # A sum is finite only if every term is
+        if not isfinite(fx + fy + fz + tx + ty + tz):
+            return Verdict(FaultCode.SENSOR_INVALID, text=f"wrench is not finite: {wrench.tolist()}")
+        if not isfinite(time_s) or not isfinite(sum(motion.ravel().tolist())):
+            return Verdict(FaultCode.SENSOR_INVALID, text="a pose, velocity or time stamp is not finite")
+
+        gap = 0.0 if self._time is None else time_s - self._time
+        self._time, self._arrival = time_s, now
+        force = hypot(fx, fy, fz)
+        self._force = force
+        if force > self._peak:
+            self._peak = force
+        if force >= limits.force_ceiling_n:
+            return Verdict(
+                FaultCode.FORCE_CEILING,
+                force,
+                limits.force_ceiling_n,
+                f"force {force:.2f} N, ceiling {limits.force_ceiling_n:g} N",
+            )
+        torque = hypot(tx, ty, tz)
+        if torque >= limits.torque_ceiling_nm:
+            return Verdict(
+                FaultCode.FORCE_CEILING,
+                torque,
+                limits.torque_ceiling_nm,
+                f"torque {torque:.3f} N·m, ceiling {limits.torque_ceiling_nm:g} N·m",
+            )
+        if (
+            saturated
+            or max(abs(fx), abs(fy), abs(fz)) >= limits.force_range_n
+            or max(abs(tx), abs(ty), abs(tz)) >= limits.torque_range_nm
+        ):
+            return Verdict(
+                FaultCode.FORCE_CEILING,
+                force,
+                limits.force_ceiling_n,
+                f"sensor at the end of its range reads {force:.2f} N and {torque:.3f} N·m: "
+                "the true load is unknown and counts as above the ceiling",
+            )
+
+        raw = wrench.tobytes()
+        self._repeats = self._repeats + 1 if raw == self._wrench_bytes else 1
+        self._wrench_bytes = raw
+        if self._repeats >= limits.stuck_samples:
+            return Verdict(
+                FaultCode.SENSOR_STUCK,
+                self._repeats,
+                limits.stuck_samples,
+                f"{self._repeats} bit-identical wrenches in a row with fresh stamps",
+            )
+
+        if gap > limits.max_gap_s:
+            return Verdict(
+                FaultCode.STALE,
+                gap,
+                limits.max_gap_s,
+                f"{gap * 1e3:.1f} ms between two samples, limit {limits.max_gap_s * 1e3:g} ms: "
+                "what happened between them is unknown",
+            )
+        return PASSED
+
+    def age(self, now: float) -> float:
+        """Time since the newest accepted sample arrived, s; infinite before the first."""
+        return now - self._arrival
+
+    def overdue(self, now: float) -> Verdict:
+        """Judge the silence: to be asked every tick, whether a sample came or not."""
+        age = now - self._arrival
+        if age < self._parameters.max_age_s:
+            return PASSED
+        limit = self._parameters.max_age_s
+        return Verdict(FaultCode.STALE, age, limit, f"no sample for {age * 1e3:.1f} ms, limit {limit * 1e3:g} ms")
+
+    def _other_source(self, epoch: int, episode: int, now: float) -> Verdict:
+        """Two sources at once, or one that came back as another: never to be resumed by itself."""
+        if epoch == self._epoch:
+            return Verdict(
+                FaultCode.SOURCE,
+                episode,
+                self._episode,
+                f"the world was laid out anew (episode {episode}, was {self._episode}) while in use",
+            )
+        age = now - self._arrival
+        if age < self._parameters.max_age_s:
+            return Verdict(
+                FaultCode.SOURCE,
+                age,
+                self._parameters.max_age_s,
+                f"two sources publish samples: epoch {epoch:#x}, and {self._epoch:#x} {age * 1e3:.1f} ms ago",
+            )
+        return Verdict(
+            FaultCode.LINK,
+            age,
+            self._parameters.max_age_s,
+            f"the source restarted: epoch {epoch:#x}, was {self._epoch:#x}, silent for {age * 1e3:.1f} ms",
+        )
