@@ -10,7 +10,7 @@ import time
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 import zenoh
 from pydantic import TypeAdapter, ValidationError
@@ -32,7 +32,7 @@ from service.messages import (
     StopRequest,
     Telemetry,
 )
-from service.transport import close_session, open_session
+from service.transport import call_in_loop, close_session, open_session, query
 
 SILENCE_S = 0.5
 """Age of the last heartbeat at which a cell is called silent: ten heartbeats."""
@@ -224,47 +224,21 @@ class CellClient:
                 message = model.model_validate_json(sample.payload.to_bytes())
             except ValidationError:
                 return  # another version's message is no heartbeat: the cell turns UNKNOWN
-            _call_in_loop(loop, deliver, message)
+            call_in_loop(loop, deliver, message)
 
         session.declare_subscriber(key.format(cell=self._cell), on_sample)
 
     async def _ask(self, key: str, request: Message | None, answer: TypeAdapter[T], timeout_s: float) -> T:
         if self._session is None:
             raise RuntimeError("the client is not open: use it as `async with CellClient(...)`")
-        loop = asyncio.get_running_loop()
-        reply: asyncio.Future[bytes | None] = loop.create_future()
-
-        def resolve(payload: bytes | None) -> None:
-            if not reply.done():
-                reply.set_result(payload)
-
-        def on_reply(result: zenoh.Reply) -> None:
-            _call_in_loop(loop, resolve, result.ok.payload.to_bytes() if result.ok is not None else None)
-
-        self._session.get(
-            key.format(cell=self._cell),
-            zenoh.handlers.Callback(on_reply, lambda: _call_in_loop(loop, resolve, None)),
-            payload=b"" if request is None else request.model_dump_json().encode(),
-            timeout=timeout_s,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-            express=True,
-        )
-        payload = await reply
-        if payload is None:
+        request_payload = b"" if request is None else request.model_dump_json().encode()
+        answers = await query(self._session, key.format(cell=self._cell), request_payload, timeout_s)
+        if not answers:
             raise CellSilentError(
                 f"no answer from cell {self._cell} at {', '.join(self._connect)} within {timeout_s} s: "
                 "is `python -m service run` up?"
             )
-        return answer.validate_json(payload)
-
-
-def _call_in_loop(loop: asyncio.AbstractEventLoop, callback: Callable[..., object], *args: Any) -> None:
-    # Zenoh's threads may outlive the loop by a moment at shutdown.
-    try:
-        loop.call_soon_threadsafe(callback, *args)
-    except RuntimeError:
-        if not loop.is_closed():
-            raise
+        return answer.validate_json(answers[0])
 
 
 def _offer(queues: set[asyncio.Queue[T]], item: T) -> None:

@@ -1,9 +1,15 @@
 """Zenoh sessions of this project: explicit endpoints, no discovery, no listening that was not asked for."""
 
+import asyncio
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import zenoh
+
+
+class QueryRefusedError(Exception):
+    """The other side answered with an error; the text is its."""
 
 
 def open_session(*, listen: Sequence[str] = (), connect: Sequence[str] = ()) -> zenoh.Session:
@@ -32,7 +38,7 @@ def open_session(*, listen: Sequence[str] = (), connect: Sequence[str] = ()) -> 
         "transport/link/tx/queue/batching/enabled": False,
     }
     for key, value in settings.items():
-        config.insert_json5(key, json.dumps(value))  # pyright: ignore[reportUnknownMemberType]  # untyped in zenoh
+        config.insert_json5(key, json.dumps(value))
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -44,4 +50,55 @@ def open_session(*, listen: Sequence[str] = (), connect: Sequence[str] = ()) -> 
 
 def close_session(session: zenoh.Session) -> None:
     """Close a session; an unclosed one can hang the interpreter's exit. Blocks for some milliseconds."""
-    session.close()  # pyright: ignore[reportUnknownMemberType]  # untyped in zenoh
+    session.close()
+
+
+def call_in_loop(loop: asyncio.AbstractEventLoop, callback: Callable[..., object], *args: Any) -> None:
+    """Run `callback` on the loop from one of Zenoh's threads, which may outlive the loop by a moment at shutdown."""
+    try:
+        loop.call_soon_threadsafe(callback, *args)
+    except RuntimeError:
+        if not loop.is_closed():
+            raise
+
+
+async def query(session: zenoh.Session, selector: str, payload: bytes, timeout_s: float) -> list[bytes]:
+    """Ask, and wait for every answer without blocking the loop.
+
+    Args:
+        session: open.
+        selector: key expression, with `?parameters` where there are any.
+        payload: the request.
+        timeout_s: after which no further answer is waited for.
+
+    Returns:
+        One payload per answer; empty when nobody answered in time.
+
+    Raises:
+        QueryRefusedError: an answer is an error.
+    """
+    loop = asyncio.get_running_loop()
+    answers: list[bytes] = []
+    errors: list[str] = []
+    ended = asyncio.Event()
+
+    def on_reply(reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            answers.append(reply.ok.payload.to_bytes())
+        elif reply.err is not None and (text := reply.err.payload.to_bytes().decode(errors="replace")) != "Timeout":
+            errors.append(text)
+
+    handler = zenoh.handlers.Callback(on_reply, lambda: call_in_loop(loop, ended.set))
+    session.get(
+        selector,
+        handler,
+        payload=payload,
+        timeout=timeout_s,
+        priority=zenoh.Priority.INTERACTIVE_HIGH,
+        express=True,
+        consolidation=zenoh.ConsolidationMode.NONE,
+    )
+    await ended.wait()
+    if errors:
+        raise QueryRefusedError("; ".join(errors))
+    return answers

@@ -1,0 +1,132 @@
+"""The journal of runs and events: one JSON object per line, appended and synced, never rewritten.
+
+A run stands in it twice, accepted and ended; the later line counts. A run without an end was cut off with its process.
+"""
+
+import json
+import os
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, cast
+
+from pydantic import ValidationError
+
+from service.cell.storage import StorageThread
+from service.faults import FaultCode
+from service.messages import Event, Run, RunState
+
+FILE_NAME = "ledger.jsonl"
+RUNS_IN_MEMORY = 10_000
+
+
+class Ledger:
+    """Runs by id, newest last, with every change journalled.
+
+    Opening blocks on the disk; everything later hands its write to the storage thread and returns at once.
+
+    Args:
+        directory: the cell's state directory; made if it is not there.
+        storage: does the writes.
+        now: time of day, for the end of runs that are found unfinished.
+
+    Raises:
+        OSError: the directory or file cannot be used.
+    """
+
+    def __init__(self, directory: Path, storage: StorageThread, now: float) -> None:
+        directory.mkdir(parents=True, exist_ok=True)
+        self._storage = storage
+        self._runs: dict[str, Run] = {}
+        self._by_key: dict[str, str] = {}
+        self.damaged_lines = 0
+        path = directory / FILE_NAME
+        torn = self._load(path)
+        self._file = path.open("a", encoding="utf-8")
+        if torn:
+            self._file.write("\n")
+        self.interrupted = tuple(
+            run.model_copy(
+                update={
+                    "state": RunState.INTERRUPTED,
+                    "code": FaultCode.INTERRUPTED,
+                    "text": "the control process ended before the run did",
+                    "ended_at": now,
+                }
+            )
+            for run in self._runs.values()
+            if run.state is RunState.ACTIVE
+        )
+        for run in self.interrupted:
+            self.record(run)
+
+    def record(self, run: Run) -> Future[None]:
+        """Take in a run, new or changed.
+
+        Returns:
+            Done once the line is on the disk; holds the OSError if it could not be written.
+
+        Raises:
+            StorageFullError: the disk does not keep up; the run is in memory all the same.
+        """
+        self._runs[run.id] = run
+        if run.idempotency_key is not None:
+            self._by_key[run.idempotency_key] = run.id
+        while len(self._runs) > RUNS_IN_MEMORY:
+            oldest = self._runs.pop(next(iter(self._runs)))
+            if oldest.idempotency_key is not None and self._by_key.get(oldest.idempotency_key) == oldest.id:
+                del self._by_key[oldest.idempotency_key]
+        return self._append({"run": run.model_dump(mode="json")})
+
+    def note(self, event: Event) -> None:
+        """Take in an event.
+
+        Raises:
+            StorageFullError: the disk does not keep up; the event is lost to the journal.
+        """
+        self._append({"event": event.model_dump(mode="json")})
+
+    def find(self, run_id: str) -> Run | None:
+        return self._runs.get(run_id)
+
+    def find_key(self, idempotency_key: str) -> Run | None:
+        run_id = self._by_key.get(idempotency_key)
+        return None if run_id is None else self._runs[run_id]
+
+    def newest(self, limit: int, before: str | None = None) -> tuple[Run, ...]:
+        """Return up to `limit` runs, newest first, only those older than `before` where it is given and known."""
+        runs = list(self._runs.values())
+        if before in self._runs:
+            runs = runs[: list(self._runs).index(before)]
+        return tuple(reversed(runs[-limit:]))
+
+    def close(self) -> None:
+        """Close the file, once the storage thread has ended."""
+        self._file.close()
+
+    def _append(self, document: dict[str, Any]) -> Future[None]:
+        line = json.dumps(document, separators=(",", ":")) + "\n"
+
+        def write() -> None:
+            self._file.write(line)
+            self._file.flush()
+            os.fsync(self._file.fileno())
+
+        return self._storage.submit(write)
+
+    def _load(self, path: Path) -> bool:
+        """Read the journal; return whether its last line was torn off by a crash."""
+        try:
+            raw = path.read_bytes()
+        except FileNotFoundError:
+            return False
+        for line in raw.splitlines():
+            try:
+                document: object = json.loads(line)
+                if isinstance(document, dict) and "run" in document:
+                    run = Run.model_validate(cast("dict[str, Any]", document)["run"])
+                    self._runs[run.id] = run
+                    if run.idempotency_key is not None:
+                        self._by_key[run.idempotency_key] = run.id
+            except (ValueError, ValidationError):
+                self.damaged_lines += bool(line)
+        return bool(raw) and not raw.endswith(b"\n")

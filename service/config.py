@@ -1,0 +1,281 @@
+"""Configuration of a cell: one TOML file, overridden by the environment; refused by the name of the field at fault.
+
+The file is `$DSL_ASSEMBLY_CONFIG`, else `config/cell.toml`. A variable such as `DSL_ASSEMBLY__API__PORT=8001` overrides
+one field. Relative paths are relative to the file.
+"""
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
+
+from service.messages import NAME_PATTERN
+
+PATH_VARIABLE = "DSL_ASSEMBLY_CONFIG"
+DEFAULT_PATH = Path("config/cell.toml")
+HARD_MAX_FORCE_N = 50.0
+"""No configuration, recipe or policy raises a force limit above this."""
+
+
+class ConfigError(ValueError):
+    """The configuration cannot be used; the text names every field that is wrong."""
+
+
+def _check_box(box: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Any:
+    lower, upper = box
+    if any(low >= high for low, high in zip(lower, upper, strict=True)):
+        raise ValueError("the lower corner must lie below the upper corner on every axis")
+    return box
+
+
+Force = Annotated[float, Field(gt=0.0, le=HARD_MAX_FORCE_N, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Position = tuple[Finite, Finite, Finite]
+Box = Annotated[tuple[Position, Position], AfterValidator(_check_box)]
+SixPositive = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
+Endpoint = Annotated[str, Field(pattern=r"^(tcp|tls|quic|unixsock-stream)/\S+$")]
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class CellSection(Section):
+    """Identity of the cell and where its control process is reached.
+
+    Attributes:
+        id: in keys, paths and URLs.
+        endpoint: Zenoh endpoint that the control process listens on.
+        driver: `zenoh_sim` reaches a simulator over Zenoh, `in_process` steps one inside the control process.
+        state_dir: latch and ledger.
+    """
+
+    id: Name
+    endpoint: Endpoint = "tcp/127.0.0.1:7447"
+    driver: Literal["zenoh_sim", "in_process"] = "zenoh_sim"
+    state_dir: Path
+
+
+class LimitsSection(Section):
+    """What no run may exceed.
+
+    Attributes:
+        force_ceiling_n: resultant force of any single sample, N.
+        sample_age_s: age of the newest sample at which the cell latches STALE.
+        target_age_s: time without a target after which the arm's own controller stops.
+        max_step_m: largest change between two targets.
+        max_turn_rad: the same for the orientation.
+        max_speed_m_s: of the arm's reference.
+        max_turn_speed_rad_s: the same for the orientation.
+        leash_m: farthest that a target may lie from the measured position.
+        max_tilt_rad: of the tool from straight down.
+        workspace_m: lower and upper corner of the box that the TCP stays in, base frame.
+        clamped_steps: policy steps in a row whose action was clamped before the cell latches BOUNDS.
+        stop_confirm_s: time in which a stop must be confirmed by measured velocity.
+        policy_deadline_s: time that one inference may take before the cell latches POLICY_DEADLINE.
+        free_air_force_n: largest resultant, zeroed and averaged, that counts as touching nothing.
+    """
+
+    force_ceiling_n: Force
+    sample_age_s: Annotated[float, Field(ge=0.006, le=0.5, allow_inf_nan=False)] = 0.05
+    target_age_s: Annotated[float, Field(ge=0.02, le=1.0, allow_inf_nan=False)] = 0.3
+    max_step_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 0.01
+    max_turn_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = 0.15
+    max_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = 0.15
+    max_turn_speed_rad_s: Annotated[float, Field(gt=0.0, le=2.0, allow_inf_nan=False)] = 1.0
+    leash_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 0.015
+    max_tilt_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = 0.1
+    workspace_m: Box
+    clamped_steps: Annotated[int, Field(ge=1, le=100)] = 5
+    stop_confirm_s: Annotated[float, Field(ge=0.05, le=2.0, allow_inf_nan=False)] = 0.5
+    policy_deadline_s: Annotated[float, Field(ge=0.005, le=0.5, allow_inf_nan=False)] = 0.12
+    free_air_force_n: Force = 3.0
+
+
+class ComplianceSection(Section):
+    """The law about the TCP, base axes: x, y, z, then rotation about them.
+
+    Attributes:
+        stiffness: N/m and N·m/rad.
+        damping_ratio: of each axis; damping is 2 · ratio · sqrt(stiffness · inertia).
+        inertia: kg and kg·m².
+    """
+
+    stiffness: SixPositive
+    damping_ratio: Annotated[float, Field(ge=0.5, le=5.0, allow_inf_nan=False)] = 1.0
+    inertia: SixPositive
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        limits = (5000.0,) * 3 + (200.0,) * 3
+        for axis, (value, limit) in enumerate(zip(self.stiffness, limits, strict=True)):
+            if value > limit:
+                raise ValueError(f"stiffness[{axis}] is {value}, the control program runs at most {limit}")
+        return self
+
+
+class RecipeSection(Section):
+    """One insertion: which part, by which policy, from where, how stiff.
+
+    Attributes:
+        part: peg and hole.
+        clearance_m: per face.
+        policy: ONNX file with its contract.
+        policy_sha256: pins the file; another content is refused.
+        force_ceiling_n: for this part, where lower than the cell's.
+        start_position_m: TCP from which the approach is meant to start, base frame.
+        start_yaw_rad: the peg's yaw during the approach.
+        nominal_hole_m: centre of the hole's mouth where no camera says better.
+        hover_m: height above the hole's mouth at which the approach ends.
+        approach_speed_m_s: of the scripted moves.
+        max_steps: policy steps before the run fails.
+        success_depth_m: how far below the surface the peg's bottom must be.
+        conditions: distributions that a simulated world draws from.
+        compliance: the law while engaged.
+    """
+
+    part: Name
+    clearance_m: Annotated[float, Field(ge=0.05e-3, le=6e-3, allow_inf_nan=False)]
+    policy: Path
+    policy_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    force_ceiling_n: Force | None = None
+    start_position_m: Position
+    start_yaw_rad: Finite
+    nominal_hole_m: Position
+    hover_m: Annotated[float, Field(ge=0.005, le=0.1, allow_inf_nan=False)] = 0.025
+    approach_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = 0.1
+    max_steps: Annotated[int, Field(ge=1, le=2000)] = 110
+    success_depth_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 3.0e-3
+    conditions: Literal["standard", "easy"] = "standard"
+    compliance: ComplianceSection
+
+
+class SimSection(Section):
+    """The simulator that `zenoh_sim` talks to.
+
+    Attributes:
+        world: name in its keys.
+        endpoint: where it listens.
+        mode: who lets time pass.
+        autostart: whether `python -m service run` starts it and ends it again.
+    """
+
+    world: Name = "world-1"
+    endpoint: Endpoint = "tcp/127.0.0.1:7448"
+    mode: Literal["real_time", "lockstep"] = "real_time"
+    autostart: bool = True
+
+
+class ApiSection(Section):
+    """The HTTP server.
+
+    Attributes:
+        host: to listen on; another one than loopback needs `allow_remote`.
+        port: to listen on.
+        database: SQLAlchemy URL of the run history (SQLite); empty for a file in the state directory.
+        autostart: whether the API starts the control process, and the simulator that it needs, where none answers.
+        allow_remote: accept requests from other machines, although there is no authorisation yet.
+        allowed_hosts: names beside the loopback ones that a `Host` header may hold.
+    """
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=1, le=65535)] = 8000
+    database: str = ""
+    autostart: bool = True
+    allow_remote: bool = False
+    allowed_hosts: tuple[str, ...] = ()
+
+
+class ClientLossSection(Section):
+    """What a run does when the client that started it falls silent.
+
+    Attributes:
+        policy: `continue` finishes the run, `stop` latches CLIENT_LOST.
+        limit_s: silence that counts as loss.
+    """
+
+    policy: Literal["continue", "stop"] = "continue"
+    limit_s: Annotated[float, Field(ge=0.2, le=60.0, allow_inf_nan=False)] = 2.0
+
+
+class CellConfig(BaseSettings):
+    """Everything that one cell is told."""
+
+    model_config = SettingsConfigDict(
+        env_prefix="DSL_ASSEMBLY__", env_nested_delimiter="__", extra="forbid", frozen=True, validate_default=True
+    )
+
+    cell: CellSection
+    limits: LimitsSection
+    sim: SimSection = SimSection()
+    api: ApiSection = ApiSection()
+    client_loss: ClientLossSection = ClientLossSection()
+    recipes: Annotated[dict[Name, RecipeSection], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for name, recipe in self.recipes.items():
+            ceiling = recipe.force_ceiling_n
+            if ceiling is not None and ceiling > self.limits.force_ceiling_n:
+                raise ValueError(
+                    f"recipes.{name}.force_ceiling_n is {ceiling} N, above limits.force_ceiling_n "
+                    f"({self.limits.force_ceiling_n} N)"
+                )
+            if recipe.approach_speed_m_s > self.limits.max_speed_m_s:
+                raise ValueError(
+                    f"recipes.{name}.approach_speed_m_s is {recipe.approach_speed_m_s}, above limits.max_speed_m_s "
+                    f"({self.limits.max_speed_m_s})"
+                )
+        if self.limits.policy_deadline_s >= self.limits.target_age_s:
+            raise ValueError("limits.policy_deadline_s must be below limits.target_age_s, or the arm stops first")
+        return self
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        return (env_settings, init_settings)
+
+
+def load(path: Path | None = None) -> CellConfig:
+    """Read and check the configuration.
+
+    Args:
+        path: the TOML file; None takes `$DSL_ASSEMBLY_CONFIG`, else `config/cell.toml`.
+
+    Raises:
+        ConfigError: no such file, not TOML, or a field that is missing, unknown or out of range.
+    """
+    path = (path or Path(os.environ.get(PATH_VARIABLE, DEFAULT_PATH))).resolve()
+    if not path.is_file():
+        raise ConfigError(f"no configuration at {path}: set {PATH_VARIABLE}, or start from config/cell.toml")
+    try:
+        document = TomlConfigSettingsSource(CellConfig, path)()
+    except ValueError as error:
+        raise ConfigError(f"{path} is not TOML: {error}") from error
+    try:
+        return _with_absolute_paths(CellConfig(**document), path.parent)
+    except ValidationError as error:
+        lines = [f"  {_field(problem['loc'])}: {problem['msg']}" for problem in error.errors()]
+        raise ConfigError("\n".join([f"{path} cannot be used:", *lines])) from error
+
+
+def _field(location: tuple[int | str, ...]) -> str:
+    return ".".join(str(part) for part in location) or "(whole file)"
+
+
+def _with_absolute_paths(config: CellConfig, base: Path) -> CellConfig:
+    cell = config.cell.model_copy(update={"state_dir": base / config.cell.state_dir})
+    recipes = {
+        name: recipe.model_copy(update={"policy": base / recipe.policy}) for name, recipe in config.recipes.items()
+    }
+    return config.model_copy(update={"cell": cell, "recipes": recipes})

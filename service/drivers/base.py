@@ -1,0 +1,208 @@
+"""What a driver is to the cell: samples up, pose targets and stop down. A new arm is one class with these methods.
+
+Everything here runs on the event loop's thread, and nothing in it waits: a driver that needs to wait has a task or a
+thread of its own and hands over what it received. Frames, units and signs are those of `docs/architecture.md`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from service.faults import FaultCode
+from sim_backend.protocol.wire import Program, StopReason
+
+Array = npt.NDArray[np.float64]
+
+
+class DriverError(Exception):
+    """The arm cannot be reached, or cannot do what was asked; `code` says which, the text what to do."""
+
+    def __init__(self, code: FaultCode, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One tick of the arm and its sensor, as measured.
+
+    Attributes:
+        epoch: identity of the source; another value means that the source was restarted.
+        seq: tick of the source; increases by one.
+        time_s: the source's clock.
+        arrival_s: the host's injected monotonic clock (`Driver.clock`) when the sample arrived.
+        q: (6,) joint angles, rad.
+        qd: (6,) joint speeds, rad/s.
+        tcp_position: (3,) m.
+        tcp_rotvec: (3,) rad.
+        tcp_velocity: (6,) m/s and rad/s.
+        wrench: (6,) N and N·m at the TCP, base frame, zeroed and payload-compensated.
+        saturated: a channel of the sensor is at the end of its range.
+        hole_estimate: (3,) centre of the hole's mouth by the camera, m; None without one.
+        program: state of the control program on the arm's controller.
+        stop_reason: why that program last left ENGAGED.
+        robot_mode: UR numbering.
+        safety_mode: UR numbering.
+        command_seq: last command that the arm accepted.
+        peak_force_n: largest resultant since ENGAGE, as the arm's controller itself saw it.
+    """
+
+    epoch: int
+    seq: int
+    time_s: float
+    arrival_s: float
+    q: Array
+    qd: Array
+    tcp_position: Array
+    tcp_rotvec: Array
+    tcp_velocity: Array
+    wrench: Array
+    saturated: bool
+    hole_estimate: Array | None
+    program: Program
+    stop_reason: StopReason
+    robot_mode: int
+    safety_mode: int
+    command_seq: int
+    peak_force_n: float
+
+
+@dataclass(frozen=True, slots=True)
+class ComplianceLaw:
+    """How the arm yields about its TCP, base axes: inertia · v̇ = stiffness · e − damping · v + wrench.
+
+    Attributes:
+        stiffness: (6,) N/m and N·m/rad.
+        damping: (6,) N·s/m and N·m·s/rad.
+        inertia: (6,) kg and kg·m².
+        max_speed: (2,) of the reference, m/s and rad/s.
+    """
+
+    stiffness: Array
+    damping: Array
+    inertia: Array
+    max_speed: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the control program on the arm's controller enforces by itself while engaged.
+
+    Attributes:
+        max_step: (2,) largest change of target, m and rad.
+        workspace: (2, 3) lower and upper corner of the box for the TCP's position, m.
+        force_ceiling_n: resultant, N.
+        target_age_s: without a new target for this long, it stops.
+    """
+
+    max_step: Array
+    workspace: Array
+    force_ceiling_n: float
+    target_age_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class PoseTarget:
+    """Where the TCP shall go: `position` (3,) m and `rotvec` (3,) rad, base frame."""
+
+    position: Array
+    rotvec: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What a run wants of the world before it starts.
+
+    Attributes:
+        seed: of a simulated world; None where there is nothing to draw.
+        part: peg and hole.
+        clearance_m: per face.
+        conditions: distributions that a simulated world draws from.
+    """
+
+    seed: int | None
+    part: str
+    clearance_m: float
+    conditions: str
+
+
+class SampleSink(Protocol):
+    """The cell, as its driver sees it. Called on the event loop's thread; returns before the next sample."""
+
+    def on_sample(self, sample: Sample) -> None: ...
+
+    def on_link_fault(self, code: FaultCode, text: str) -> None:
+        """The link is broken or not to be believed; samples may or may not go on."""
+        ...
+
+
+class Driver(Protocol):
+    """One arm."""
+
+    @property
+    def name(self) -> str:
+        """For status and logs: kind and address."""
+        ...
+
+    @property
+    def mode(self) -> Literal["real_time", "lockstep"]:
+        """Whether time passes by itself, or only as far as this driver lets it."""
+        ...
+
+    @property
+    def tick_s(self) -> float:
+        """Period of the samples."""
+        ...
+
+    @property
+    def clock(self) -> Callable[[], float]:
+        """Monotonic seconds: the host's in real time, the world's in lockstep. The cell knows no other clock."""
+        ...
+
+    @property
+    def samples_dropped(self) -> int:
+        """Samples that never reached the sink because it was too slow; their force was checked all the same."""
+        ...
+
+    async def connect(self, sink: SampleSink) -> None:
+        """Reach the arm and let samples flow into `sink`. May be called again after a link fault.
+
+        Raises:
+            DriverError: the arm cannot be reached or speaks another version.
+        """
+        ...
+
+    async def prepare(self, setup: Setup) -> None:
+        """Have the world as the run wants it; returns once samples of it flow.
+
+        Raises:
+            DriverError: it cannot be had; a real arm refuses a seed.
+        """
+        ...
+
+    def engage(self, law: ComplianceLaw, limits: Limits) -> None:
+        """Start the control program; its target is the present pose."""
+        ...
+
+    def send_target(self, target: PoseTarget) -> int:
+        """Send a target; return its sequence number, which samples echo once the arm has it."""
+        ...
+
+    def stop(self) -> None:
+        """Decelerate, hold and disengage. Never blocks, never raises, may be called at any rate in any state."""
+        ...
+
+    def zero_ft(self) -> None:
+        """Take the present wrench as zero. Only in free air, and not while engaged."""
+        ...
+
+    def unlock(self) -> None:
+        """Leave the arm's protective stop: part of an operator's reset."""
+        ...
+
+    async def close(self) -> None:
+        """Stop and release the arm."""
+        ...

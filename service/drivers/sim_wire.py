@@ -1,0 +1,119 @@
+"""Between the cell's terms and the simulated cell's wire: states into samples, orders into commands."""
+
+import secrets
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, Sample, Setup
+from service.faults import FaultCode
+from sim_backend.protocol import wire
+from sim_backend.protocol.task import Task
+
+Record = npt.NDArray[Any]
+
+
+def read_sample(record: Record, arrival_s: float) -> Sample:
+    """Turn one state into a sample that shares nothing with it.
+
+    Args:
+        record: (1,) of `wire.STATE`.
+        arrival_s: when it arrived, by the driver's clock.
+
+    Raises:
+        wire.WireError: a field holds what the schema does not know. Whether numbers are finite, the monitor judges.
+    """
+    row = record[0]
+    if row["kind"] != wire.Kind.STATE:
+        raise wire.WireError(f"kind {int(row['kind'])} on a state key")
+    try:
+        program, stop_reason = wire.Program(int(row["program"])), wire.StopReason(int(row["stop_reason"]))
+    except ValueError as error:
+        raise wire.WireError(str(error)) from error
+    estimate = row["hole_estimate"].copy()
+    return Sample(
+        epoch=int(row["epoch"]),
+        seq=int(row["seq"]),
+        time_s=float(row["time_s"]),
+        arrival_s=arrival_s,
+        q=row["q"].copy(),
+        qd=row["qd"].copy(),
+        tcp_position=row["tcp_position"].copy(),
+        tcp_rotvec=row["tcp_rotvec"].copy(),
+        tcp_velocity=row["tcp_velocity"].copy(),
+        wrench=row["wrench"].copy(),
+        saturated=bool(row["saturated"]),
+        hole_estimate=estimate if bool(np.isfinite(estimate).all()) else None,
+        program=program,
+        stop_reason=stop_reason,
+        robot_mode=int(row["robot_mode"]),
+        safety_mode=int(row["safety_mode"]),
+        command_seq=int(row["command_seq"]),
+        peak_force_n=float(row["peak_force"]),
+    )
+
+
+def task_of(setup: Setup) -> Task:
+    """Return the world that a run wants.
+
+    Raises:
+        DriverError: PROTOCOL, the text names the field that no world can be built from.
+    """
+    document = {
+        "seed": 0 if setup.seed is None else setup.seed,
+        "part": setup.part,
+        "clearance_m": setup.clearance_m,
+        "conditions": setup.conditions,
+    }
+    try:
+        return Task.from_json(document)
+    except ValueError as error:
+        raise DriverError(FaultCode.PROTOCOL, f"the recipe asks for a world that cannot be: {error}") from error
+
+
+class CommandWriter:
+    """Writes the commands of one client to one world, numbered.
+
+    Attributes:
+        epoch: of the world that is meant; set on connecting.
+    """
+
+    def __init__(self) -> None:
+        self.epoch = 0
+        self._client = secrets.randbits(63)
+        self._seq = 0
+
+    def engage(self, law: ComplianceLaw, limits: Limits) -> Record:
+        record = self._new(wire.Kind.ENGAGE)
+        row = record[0]
+        row["stiffness"], row["damping"], row["inertia"] = law.stiffness, law.damping, law.inertia
+        row["max_speed"], row["max_step"], row["workspace"] = law.max_speed, limits.max_step, limits.workspace
+        row["force_ceiling"], row["target_age"] = limits.force_ceiling_n, limits.target_age_s
+        return record
+
+    def target(self, target: PoseTarget) -> Record:
+        record = self._new(wire.Kind.TARGET)
+        record[0]["position"], record[0]["rotvec"] = target.position, target.rotvec
+        return record
+
+    def stop(self) -> Record:
+        return self._new(wire.Kind.STOP)
+
+    def zero_ft(self) -> Record:
+        return self._new(wire.Kind.ZERO_FT)
+
+    def unlock(self) -> Record:
+        return self._new(wire.Kind.UNLOCK)
+
+    @property
+    def seq(self) -> int:
+        """Number of the last command written."""
+        return self._seq
+
+    def _new(self, kind: wire.Kind) -> Record:
+        self._seq += 1
+        record = wire.new(wire.COMMAND, kind)
+        row = record[0]
+        row["client"], row["epoch"], row["seq"] = self._client, self.epoch, self._seq
+        return record

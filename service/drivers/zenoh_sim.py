@@ -1,0 +1,251 @@
+"""The driver of a simulated cell over Zenoh, in real time or in lockstep. Keys and records: `sim_backend/protocol`."""
+
+import asyncio
+import json
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import numpy.typing as npt
+import zenoh
+
+from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, Sample, SampleSink, Setup
+from service.drivers.handover import Handover
+from service.drivers.sim_wire import CommandWriter, read_sample, task_of
+from service.faults import FaultCode
+from service.transport import QueryRefusedError, call_in_loop, close_session, open_session, query
+from sim_backend.protocol import keys, wire
+
+Mode = Literal["real_time", "lockstep"]
+
+QUERY_TIMEOUT_S = 2.0
+"""Host time for an answer of a simulator that has nothing to compute but a tick."""
+PREPARE_TIMEOUT_S = 30.0
+"""Host time for a simulator to lay out, and perhaps to compile, a world."""
+IDLE_TICKS = 500
+"""Lockstep: ticks without a command or an engaged arm after which time passes no faster than in reality."""
+
+
+class ZenohSimDriver:
+    """One simulated cell behind Zenoh.
+
+    Args:
+        world: name of the world in its keys.
+        connect: endpoints of its server.
+        mode: whether the world's time passes by itself or is advanced from here.
+        clock: monotonic seconds, for arrivals in real time.
+    """
+
+    tick_s = wire.TICK_S
+
+    def __init__(
+        self, world: str, connect: Sequence[str], mode: Mode, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.mode: Mode = mode
+        self.name = f"simulated cell sim/{world} at {', '.join(connect)}"
+        self._world = world
+        self._connect = tuple(connect)
+        self._host_clock = clock
+        self._commands = CommandWriter()
+        self._handover = Handover()
+        self._session: zenoh.Session | None = None
+        self._publisher: zenoh.Publisher | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._sink: SampleSink | None = None
+        self._newest_seq = -1
+        self._arrived = asyncio.Event()
+        self._pending: list[npt.NDArray[Any]] = []
+        self._ticks = 0
+        self._quiet_ticks = 0
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def clock(self) -> Callable[[], float]:
+        if self.mode == "lockstep":
+            return lambda: self._ticks * wire.TICK_S
+        return self._host_clock
+
+    @property
+    def samples_dropped(self) -> int:
+        return self._handover.dropped
+
+    async def connect(self, sink: SampleSink) -> None:
+        self._sink = sink
+        self._loop = asyncio.get_running_loop()
+        if self._session is None:
+            self._session = await asyncio.to_thread(open_session, connect=self._connect)
+        info = await self._ask_info(self._session)
+        self._commands.epoch = int(info["epoch"])
+        if self.mode == "lockstep":
+            if self._task is None or self._task.done():
+                self._task = asyncio.create_task(self._let_time_pass(), name="lockstep")
+        elif self._publisher is None:
+            self._publisher = self._session.declare_publisher(
+                keys.COMMAND.format(world=self._world),
+                congestion_control=zenoh.CongestionControl.DROP,  # a command that cannot leave now is worth nothing
+                priority=zenoh.Priority.REAL_TIME,
+                express=True,
+            )
+            self._session.declare_subscriber(keys.STATE.format(world=self._world), self._receive)
+
+    async def prepare(self, setup: Setup) -> None:
+        payload = json.dumps(task_of(setup).to_json()).encode()
+        replies = await self._query(keys.RESET, payload, PREPARE_TIMEOUT_S)
+        try:
+            laid_out = int(wire.decode(replies[0], wire.STATE)[0]["seq"])
+        except wire.WireError as error:
+            raise DriverError(FaultCode.PROTOCOL, f"{self.name}: {error}") from error
+        self._quiet_ticks = 0
+        try:
+            async with asyncio.timeout(QUERY_TIMEOUT_S):
+                while self._newest_seq <= laid_out:
+                    self._arrived.clear()
+                    await self._arrived.wait()
+        except TimeoutError as error:
+            raise DriverError(FaultCode.STALE, f"{self.name}: no samples after the world was laid out") from error
+
+    def engage(self, law: ComplianceLaw, limits: Limits) -> None:
+        self._send(self._commands.engage(law, limits))
+
+    def send_target(self, target: PoseTarget) -> int:
+        self._send(self._commands.target(target))
+        return self._commands.seq
+
+    def stop(self) -> None:
+        self._pending.clear()
+        self._send(self._commands.stop())
+
+    def zero_ft(self) -> None:
+        self._send(self._commands.zero_ft())
+
+    def unlock(self) -> None:
+        self._send(self._commands.unlock())
+
+    async def close(self) -> None:
+        self.stop()
+        task, self._task = self._task, None
+        if task is not None:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+        session, self._session, self._publisher = self._session, None, None
+        if session is not None:
+            if self._pending:
+                payload = b"".join(command.tobytes() for command in self._pending)
+                await query(session, f"{keys.ADVANCE.format(world=self._world)}?ticks=1", payload, QUERY_TIMEOUT_S)
+            await asyncio.to_thread(close_session, session)
+
+    # --- real time
+
+    def _receive(self, message: zenoh.Sample) -> None:
+        """On Zenoh's thread: check what the schema promises, stamp the arrival, hand over."""
+        arrival_s = self._host_clock()
+        try:
+            records = wire.decode(message.payload.to_bytes(), wire.STATE)
+            if len(records) != 1:
+                raise wire.WireError(f"{len(records)} states in one publication, want one")
+            sample = read_sample(records, arrival_s)
+        except wire.WireError as error:
+            wake = self._handover.report(FaultCode.PROTOCOL, f"{self.name}: {error}")
+        else:
+            if sample.epoch == self._commands.epoch:
+                wake = self._handover.offer(sample)
+            else:
+                wake = self._handover.report(FaultCode.SOURCE, self._another_source(sample.epoch))
+        if wake and self._loop is not None:
+            call_in_loop(self._loop, self._deliver)
+
+    def _deliver(self) -> None:
+        samples, fault = self._handover.take()
+        for sample in samples:
+            self._hand_on(sample)
+        if fault is not None and self._sink is not None:
+            self._sink.on_link_fault(*fault)
+
+    # --- lockstep
+
+    async def _let_time_pass(self) -> None:
+        while True:
+            commands, self._pending = self._pending, []
+            try:
+                payload = b"".join(command.tobytes() for command in commands)
+                replies = await self._query(f"{keys.ADVANCE}?ticks=1", payload, QUERY_TIMEOUT_S)
+                records = wire.decode(replies[0], wire.STATE)
+                self._ticks += len(records)
+                samples = [read_sample(records[i : i + 1], self._ticks * wire.TICK_S) for i in range(len(records))]
+            except wire.WireError as error:
+                self._report(FaultCode.PROTOCOL, f"{self.name}: {error}")
+                return
+            except DriverError as error:
+                self._report(error.code, str(error))
+                return
+            for sample in samples:
+                if sample.epoch != self._commands.epoch:
+                    self._report(FaultCode.SOURCE, self._another_source(sample.epoch))
+                    return
+                self._hand_on(sample)
+            quiet = samples[-1].program is wire.Program.IDLE and not self._pending
+            self._quiet_ticks = self._quiet_ticks + 1 if quiet else 0
+            if self._quiet_ticks > IDLE_TICKS:
+                await asyncio.sleep(wire.TICK_S)
+
+    # --- both
+
+    def _send(self, command: npt.NDArray[Any]) -> None:
+        if self.mode == "lockstep":
+            self._pending.append(command)
+        elif self._publisher is not None:
+            try:
+                self._publisher.put(command.tobytes())
+            except zenoh.ZError as error:
+                self._report(FaultCode.LINK, f"{self.name}: a command could not be sent: {error}")
+
+    def _hand_on(self, sample: Sample) -> None:
+        self._newest_seq = sample.seq
+        self._arrived.set()
+        if self._sink is not None:
+            self._sink.on_sample(sample)
+
+    def _report(self, code: FaultCode, text: str) -> None:
+        if self._loop is not None and self._sink is not None:
+            self._loop.call_soon(self._sink.on_link_fault, code, text)
+
+    async def _ask_info(self, session: zenoh.Session) -> dict[str, Any]:
+        replies = await self._query(keys.INFO, b"", QUERY_TIMEOUT_S)
+        if len(replies) > 1:
+            raise DriverError(
+                FaultCode.SOURCE, f"{self.name}: {len(replies)} worlds answer to this name; end all but one"
+            )
+        try:
+            info: dict[str, Any] = json.loads(replies[0])
+            version, mode = int(info["version"]), str(info["mode"]).replace("-", "_")
+            int(info["epoch"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise DriverError(
+                FaultCode.PROTOCOL, f"{self.name}: its answer to `info` cannot be read: {error}"
+            ) from error
+        if version != wire.VERSION:
+            text = (
+                f"{self.name} speaks schema version {version}, this side reads {wire.VERSION}; install the same version"
+            )
+            raise DriverError(FaultCode.PROTOCOL, text)
+        if mode != self.mode:
+            text = (
+                f"{self.name} runs in {mode}, the configuration says {self.mode}: change sim.mode or restart the world"
+            )
+            raise DriverError(FaultCode.PROTOCOL, text)
+        return info
+
+    async def _query(self, key: str, payload: bytes, timeout_s: float) -> list[bytes]:
+        if self._session is None:
+            raise DriverError(FaultCode.LINK, f"{self.name}: not connected")
+        try:
+            replies = await query(self._session, key.format(world=self._world), payload, timeout_s)
+        except QueryRefusedError as error:
+            raise DriverError(FaultCode.PROTOCOL, f"{self.name} refused: {error}") from error
+        if not replies:
+            raise DriverError(FaultCode.LINK, f"{self.name} does not answer: is `python -m sim_backend` running?")
+        return replies
+
+    def _another_source(self, epoch: int) -> str:
+        expected = self._commands.epoch
+        return f"{self.name}: samples of epoch {epoch} where {expected} was expected; it restarted, or there are two"
