@@ -1,0 +1,111 @@
+"""What varies from episode to episode, and how: the standard conditions, written out in `docs/conditions.md`.
+
+Where the paper is silent the values come from its author's code and logs. One seed draws one episode, in a fixed order,
+so that a seed means the same world in training, in a test and through the deployed service.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sim_backend.protocol.task import Task
+from sim_backend.scene import NOMINAL_HOLE_M
+
+Array = npt.NDArray[np.float64]
+
+FORCE_NOISE_N = 0.7
+TORQUE_NOISE_NM = 0.05
+FORCE_DRIFT_N_PER_S = 0.02
+TORQUE_DRIFT_NM_PER_S = 0.001
+ESTIMATE_JITTER_M = 0.17e-3
+FRICTION = 0.3
+NOISE_ROWS = 4096
+"""Ticks of sensor noise drawn per episode; an episode longer than that (8.2 s) hears it again."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Distributions:
+    hole_half_range_m: tuple[float, float, float]
+    hole_yaw_rad: float
+    estimate_sigma_m: tuple[float, float, float]
+    grasp_sigma_m: float
+
+
+_CONDITIONS = {
+    "standard": _Distributions((0.050, 0.035, 0.030), float(np.deg2rad(60)), (1.15e-3, 1.15e-3, 0.5e-3), 0.3e-3),
+    "easy": _Distributions((0.020, 0.020, 0.010), float(np.deg2rad(30)), (0.5e-3, 0.5e-3, 0.3e-3), 0.1e-3),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """One draw. Lengths m, angles rad, base frame.
+
+    Attributes:
+        hole_position: (3,) centre of the mouth.
+        hole_yaw: about the matching yaw of the start pose; observed by nobody.
+        estimate_offset: (3,) constant error of the camera's estimate in this episode.
+        grasp_offset: (2,) of the peg's axis in the tool frame.
+        hover_m: height above the estimate at which the scripted approach ends.
+        friction: sliding, peg on block.
+        stiffness_scale: of the compliance law and the fingers, relative to nominal.
+        mass_scale: of the gripper and the peg.
+        sensor_delay: ticks from force to sample, 1–4 (2–8 ms).
+        target_delay: ticks from a target's arrival to its effect.
+        bias: (6,) of the raw sensor, N and N·m.
+        drift: (6,) of that bias, per second.
+        wrench_noise: (NOISE_ROWS, 6) float32, N and N·m, one row per tick.
+        estimate_noise: (64, 3) jitter of the estimate, one row per camera frame.
+    """
+
+    hole_position: Array
+    hole_yaw: float
+    estimate_offset: Array
+    grasp_offset: Array
+    hover_m: float
+    friction: float
+    stiffness_scale: float
+    mass_scale: float
+    sensor_delay: int
+    target_delay: int
+    bias: Array
+    drift: Array
+    wrench_noise: npt.NDArray[np.float32]
+    estimate_noise: Array
+
+
+def draw(task: Task) -> Episode:
+    """Draw the episode that `task.seed` means under `task.conditions`."""
+    rng = np.random.default_rng(np.random.SeedSequence(task.seed))
+    ranges = _CONDITIONS[task.conditions]
+    half = np.array(ranges.hole_half_range_m)
+    hole = np.array(NOMINAL_HOLE_M) + rng.uniform(-half, half)
+    yaw = rng.uniform(-ranges.hole_yaw_rad, ranges.hole_yaw_rad)
+    offset = rng.normal(0.0, ranges.estimate_sigma_m)
+    grasp = rng.normal(0.0, ranges.grasp_sigma_m, 2)
+    hover = rng.uniform(0.020, 0.030)
+    delay = int(rng.integers(1, 5))
+    bias = rng.normal(0.0, [2.0] * 3 + [0.1] * 3)
+    drift = rng.normal(0.0, [FORCE_DRIFT_N_PER_S] * 3 + [TORQUE_DRIFT_NM_PER_S] * 3)
+    plant = rng.uniform(size=4)
+    noise = rng.standard_normal((NOISE_ROWS, 6), np.float32)
+    noise *= np.array([FORCE_NOISE_N] * 3 + [TORQUE_NOISE_NM] * 3, np.float32)
+    jitter = rng.normal(0.0, ESTIMATE_JITTER_M, (64, 3))
+    varied = task.randomise_plant
+    return Episode(
+        hole_position=hole,
+        hole_yaw=float(yaw),
+        estimate_offset=offset,
+        grasp_offset=grasp,
+        hover_m=float(hover),
+        friction=0.1 + 0.5 * float(plant[0]) if varied else FRICTION,
+        stiffness_scale=0.6 + 0.8 * float(plant[1]) if varied else 1.0,
+        mass_scale=0.8 + 0.4 * float(plant[2]) if varied else 1.0,
+        sensor_delay=delay,
+        target_delay=int(plant[3] * 11) if varied else 2,
+        bias=bias,
+        drift=drift,
+        wrench_noise=noise,
+        estimate_noise=jitter,
+    )

@@ -1,0 +1,273 @@
+"""The scene: a UR3e with a gripper and a peg above a block with a hole, built with MuJoCo's `MjSpec`.
+
+Frames as in `docs/architecture.md`. The arm's bodies stand in its Denavit–Hartenberg frames, so MuJoCo's joint angles are the
+controller's. The hole is one box slab per wall, each on the outer side of its face: the hole is the intersection of the
+inner half-spaces, exactly, at any clearance. Only the peg touches the block, its floor and the table.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from sim_backend.kinematics import UR3E
+from sim_backend.parts import HOLE_DEPTH_M, PARTS, Part, hole_walls, wall_centres
+from sim_backend.protocol.wire import TICK_S
+
+GRIPPER_LENGTH_M = 0.150
+"""Flange to fingertips of a Robotiq 2F-85, closed on the peg."""
+PROTRUSION_M = 0.040
+"""Fingertips to the peg's bottom."""
+TCP_OFFSET_M = GRIPPER_LENGTH_M + PROTRUSION_M
+GRIPPER_MASS_KG = 0.9
+GRIPPER_COM_M = 0.055
+PEG_MASS_KG = 0.03
+PAYLOAD_KG = GRIPPER_MASS_KG + PEG_MASS_KG
+PAYLOAD_COM_M = (GRIPPER_MASS_KG * GRIPPER_COM_M + PEG_MASS_KG * (TCP_OFFSET_M - 0.03)) / PAYLOAD_KG
+
+WALL_HALF_THICKNESS_M = 0.060
+WALL_HALF_LENGTH_M = 0.110
+WALL_HALF_HEIGHT_M = 0.014
+NOMINAL_HOLE_M = (0.300, -0.110, 0.080)
+"""Centre of the hole's mouth about which the conditions scatter it."""
+
+FINGER_RANGE_RAD = float(np.deg2rad(3.0))
+FINGER_STIFFNESS_NM = 12.0
+FINGER_DAMPING_NMS = 0.08
+
+JOINT_STIFFNESS_NM = (3500.0, 3500.0, 3500.0, 800.0, 800.0, 800.0)
+"""Stiffness of the joints' position loops with their transmissions; with the gripper's pads, about 1.7e4 N/m at the TCP vertically. An assumption: UR publishes none."""
+JOINT_ARMATURE_KGM2 = (0.12, 0.12, 0.12, 0.02, 0.02, 0.02)
+"""Rotor inertia behind the gears. An assumption: UR publishes none."""
+JOINT_DAMPING_RATIO = 1.0
+
+_CONTACT = {"solref": [0.010, 1.0], "solimp": [0.95, 0.99, 0.0005, 0.5, 2.0]}
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A compiled scene and the indices that the world needs.
+
+    Attributes:
+        model: compiled for `part`; clearance, hole pose and plant vary per simulation without a rebuild.
+        part: the peg and its hole.
+        wall_geoms: (k,) geom ids of the hole's walls, in the order of `wall_centres`.
+        floor_geom: the hole's floor.
+        peg_geom: the peg's collision geom.
+        peg_body: body of the peg; its position holds the grasp offset.
+        gripper_body: body that carries the sensor.
+        finger_dof: velocity index of the fingers' compliance.
+    """
+
+    model: mujoco.MjModel
+    part: Part
+    wall_geoms: np.ndarray
+    floor_geom: int
+    peg_geom: int
+    peg_body: int
+    gripper_body: int
+    finger_dof: int
+
+
+def build(part_name: str = "tr", clearance_m: float = 2.0e-3) -> Scene:
+    """Build and compile the scene.
+
+    Args:
+        part_name: one of `parts.PARTS`.
+        clearance_m: clearance per face that the walls start with.
+
+    Raises:
+        KeyError: no such part.
+    """
+    part = PARTS[part_name]
+    spec = mujoco.MjSpec()
+    spec.modelname = f"dsl-assembly-{part_name}"
+    option = spec.option
+    option.timestep = TICK_S
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    # walls move per simulation, away from the bounding volumes that compilation made
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
+    option.iterations = 20
+    option.ls_iterations = 10
+    option.gravity = [0, 0, -9.81]
+
+    _add_surroundings(spec)
+    _add_block(spec, part, clearance_m)
+    flange = _add_arm(spec)
+    _add_tool(spec, flange, part)
+
+    model = spec.compile()
+    return Scene(
+        model=model,
+        part=part,
+        wall_geoms=np.array([model.geom(f"wall{i}").id for i in range(len(hole_walls(part, clearance_m)))]),
+        floor_geom=model.geom("floor").id,
+        peg_geom=model.geom("peg").id,
+        peg_body=model.body("peg").id,
+        gripper_body=model.body("gripper").id,
+        finger_dof=int(model.joint("finger").dofadr[0]),
+    )
+
+
+def _add_surroundings(spec: mujoco.MjSpec) -> None:
+    world = spec.worldbody
+    world.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[0.25, 0.0, -0.02],
+        size=[0.45, 0.40, 0.02],
+        contype=0,
+        conaffinity=1,
+        rgba=[0.86, 0.85, 0.82, 1],
+        **_CONTACT,
+    )
+    world.add_light(pos=[0.6, -0.8, 1.6], dir=[-0.3, 0.5, -1.0], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    target = np.array(NOMINAL_HOLE_M)
+    for name, eye in {
+        "overview": target + [0.55, -0.65, 0.45],
+        "side": target + [0.02, -0.42, 0.10],
+        "hole": target + [0.14, -0.16, 0.16],
+    }.items():
+        world.add_camera(name=name, pos=eye, quat=_looking(eye, target), fovy=42)
+
+
+def _looking(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Quaternion (w, x, y, z) of a camera at `eye` whose -z axis points at `target`, its x axis level."""
+    back = (eye - target) / np.linalg.norm(eye - target)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.stack([right, np.cross(back, right), back], axis=1).ravel())
+    return quat
+
+
+def _add_block(spec: mujoco.MjSpec, part: Part, clearance_m: float) -> None:
+    """The block is a mocap body: its pose is the hole's mouth (x, y, z, yaw) and belongs to the state of a simulation."""
+    block = spec.worldbody.add_body(name="block", mocap=True, pos=list(NOMINAL_HOLE_M))
+    walls = hole_walls(part, clearance_m)
+    centres = wall_centres(part, clearance_m, WALL_HALF_THICKNESS_M)
+    for i, (angle, centre) in enumerate(zip(walls[:, 0], centres, strict=True)):
+        block.add_geom(
+            name=f"wall{i}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[centre[0], centre[1], -WALL_HALF_HEIGHT_M],
+            quat=[np.cos(angle / 2), 0, 0, np.sin(angle / 2)],
+            size=[WALL_HALF_THICKNESS_M, WALL_HALF_LENGTH_M, WALL_HALF_HEIGHT_M],
+            contype=0,
+            conaffinity=1,
+            rgba=[0.75, 0.78, 0.82, 1],
+            **_CONTACT,
+        )
+    block.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[0, 0, -HOLE_DEPTH_M - 0.01],
+        size=[0.04, 0.04, 0.01],
+        contype=0,
+        conaffinity=1,
+        rgba=[0.55, 0.57, 0.60, 1],
+        **_CONTACT,
+    )
+
+
+def _add_arm(spec: mujoco.MjSpec) -> "mujoco.MjsBody":
+    """Six links in their Denavit–Hartenberg frames; returns the flange's body-fixed frame as the last link."""
+    parent = spec.worldbody.add_body(name="base")
+    step_pos, step_quat = np.zeros(3), np.array([1.0, 0, 0, 0])
+    for i, joint in enumerate(UR3E):
+        link = parent.add_body(name=f"link{i + 1}", pos=step_pos, quat=step_quat, gravcomp=1)
+        link.add_joint(
+            name=f"joint{i + 1}",
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=[0, 0, 1],
+            armature=JOINT_ARMATURE_KGM2[i],
+            limited=False,
+        )
+        # frame i after the whole transform; UR gives masses in that frame
+        step_pos = np.array([joint.a_m, 0.0, joint.d_m])
+        step_quat = np.array([np.cos(joint.alpha_rad / 2), np.sin(joint.alpha_rad / 2), 0, 0])
+        centre = np.zeros(3)
+        mujoco.mju_rotVecQuat(centre, np.asarray(joint.com_m, float), step_quat)
+        link.mass = joint.mass_kg
+        link.ipos = step_pos + centre
+        link.iquat = step_quat
+        link.inertia = joint.inertia_kg_m2
+        link.explicitinertial = True
+        link.add_geom(
+            name=f"link{i + 1}_visual",
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[0, 0, 0, *step_pos],
+            size=[0.035 if i < 3 else 0.028, 0, 0],
+            contype=0,
+            conaffinity=0,
+            group=1,
+            mass=0,
+            rgba=[0.62, 0.68, 0.75, 1],
+        )
+        inertia_at_servo = JOINT_ARMATURE_KGM2[i] + (0.5, 0.4, 0.2, 0.02, 0.02, 0.002)[i]
+        stiffness = JOINT_STIFFNESS_NM[i]
+        damping = 2 * JOINT_DAMPING_RATIO * np.sqrt(stiffness * inertia_at_servo)
+        servo = spec.add_actuator(name=f"servo{i + 1}", target=f"joint{i + 1}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.gaintype, servo.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+        servo.gainprm[0] = stiffness
+        servo.biasprm[1], servo.biasprm[2] = -stiffness, -damping
+        servo.forcelimited = True
+        servo.forcerange = [-joint.torque_nm, joint.torque_nm]
+        parent = link
+    flange = parent.add_body(name="gripper", pos=step_pos, quat=step_quat)
+    return flange
+
+
+def _add_tool(spec: mujoco.MjSpec, gripper: "mujoco.MjsBody", part: Part) -> None:
+    """Gripper, sensor, fingers' compliance and peg. The sensor measures what the flange carries."""
+    gripper.mass = GRIPPER_MASS_KG
+    gripper.ipos = [0, 0, GRIPPER_COM_M]
+    gripper.inertia = [1.1e-3, 1.0e-3, 6e-4]
+    gripper.explicitinertial = True
+    gripper.add_site(name="ft", pos=[0, 0, 0])
+    gripper.add_site(name="tcp", pos=[0, 0, TCP_OFFSET_M])
+    for name, pos, size in (
+        ("palm", [0, 0, 0.045], [0.035, 0.030, 0.045]),
+        ("finger_left", [0, 0.022, 0.12], [0.011, 0.006, 0.030]),
+        ("finger_right", [0, -0.022, 0.12], [0.011, 0.006, 0.030]),
+    ):
+        gripper.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=pos, size=size,
+            contype=0, conaffinity=0, group=1, mass=0, rgba=[0.16, 0.17, 0.19, 1],
+        )  # fmt: skip
+    gripper.add_camera(name="wrist", pos=[0.06, 0, 0.03], quat=[0, 1, 0, 0], fovy=60)
+    # peg frame: at the bottom's centre, z along the peg into the world; the fingers' axis passes through the pads
+    peg = gripper.add_body(name="peg", pos=[0, 0, TCP_OFFSET_M])
+    peg.add_joint(
+        name="finger",
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=[0, 1, 0],
+        pos=[0, 0, -PROTRUSION_M - 0.01],
+        stiffness=FINGER_STIFFNESS_NM,
+        damping=FINGER_DAMPING_NMS,
+        armature=2e-5,
+        limited=True,
+        range=[-FINGER_RANGE_RAD, FINGER_RANGE_RAD],
+    )
+    common = {
+        "name": "peg",
+        "contype": 1,
+        "conaffinity": 0,
+        "mass": PEG_MASS_KG,
+        "rgba": [0.93, 0.49, 0.13, 1],
+        **_CONTACT,
+    }
+    height = part.peg_height_m
+    if part.is_cylinder:
+        peg.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER, pos=[0, 0, -height / 2], size=[part.radius_m, height / 2, 0], **common
+        )
+    else:
+        outline = part.outline * [1.0, -1.0]  # the peg frame's y axis is the hole frame's, turned over by Rx(π)
+        vertices = np.concatenate([np.column_stack([outline, np.full(len(outline), z)]) for z in (0.0, -height)])
+        spec.add_mesh(name="peg", uservert=vertices.ravel())
+        peg.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="peg", **common)
+    spec.add_sensor(name="force", type=mujoco.mjtSensor.mjSENS_FORCE, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="ft")
+    spec.add_sensor(name="torque", type=mujoco.mjtSensor.mjSENS_TORQUE, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="ft")

@@ -1,0 +1,103 @@
+"""The wrist's force/torque sensor and the controller's view of it.
+
+Raw: what the flange carries, in the flange's frame, with bias, drift, noise, delay and a finite range.
+Compensated: zeroed, without the gravity of the configured payload, at the TCP, in the base frame, with the sign of what
+the environment does to the tool: what a UR controller calls `actual_TCP_force`.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from sim_backend.conditions import NOISE_ROWS, Episode
+from sim_backend.protocol.wire import TICK_S
+
+Array = npt.NDArray[np.float64]
+
+RANGE = np.array([30.0] * 3 + [10.0] * 3)
+"""End of the UR3e's sensor, N and N·m, per channel."""
+MAX_DELAY = 8
+ZERO_TICKS = 100
+"""Time constant of the average that a zero is taken from: a single sample would carry its noise into everything after."""
+GRAVITY = 9.81
+
+
+class ForceTorqueSensor:
+    """n sensors.
+
+    Args:
+        n: how many.
+        payload_kg: mass that the controller compensates.
+        payload_com_m: its centre along the flange's z axis.
+        tcp_offset_m: TCP along the flange's z axis.
+    """
+
+    def __init__(self, n: int, payload_kg: float, payload_com_m: float, tcp_offset_m: float) -> None:
+        self._weight = payload_kg * GRAVITY
+        self._com = payload_com_m
+        self._tcp = tcp_offset_m
+        self._rows = np.arange(n)
+        self._history = np.zeros((MAX_DELAY, n, 6))
+        self._slot = 0
+        self._tick = np.zeros(n, np.int64)
+        self._delay = np.ones(n, np.int64)
+        self._noise = np.zeros((n, NOISE_ROWS, 6), np.float32)
+        self._bias = np.zeros((n, 6))
+        self._drift = np.zeros((n, 6))
+        self._zero = np.zeros((n, 6))
+        self._average = np.zeros((n, 6))
+        self.raw = np.zeros((n, 6))
+        self.wrench = np.zeros((n, 6))
+        self.saturated = np.zeros(n, bool)
+
+    def reset(self, cell: int, episode: Episode) -> None:
+        """Give one sensor an episode's noise, bias and delay, and forget its past."""
+        self._tick[cell] = 0
+        self._delay[cell] = episode.sensor_delay
+        self._noise[cell] = episode.wrench_noise
+        self._bias[cell] = episode.bias
+        self._drift[cell] = episode.drift * TICK_S
+        self._zero[cell] = 0.0
+        # at rest for long before the episode begins
+        self._average[cell] = episode.bias + episode.wrench_noise[-ZERO_TICKS:].mean(axis=0)
+        self._history[:, cell] = np.nan  # filled by the first reading
+
+    def read(self, carried: Array, rotation: Array) -> None:
+        """Take one reading: sets `raw`, `wrench`, `saturated`.
+
+        Args:
+            carried: (n, 6) true load on the flange, flange axes, the environment's and gravity's share.
+            rotation: (n, 3, 3) of the flange.
+        """
+        self._slot = (self._slot + 1) % MAX_DELAY
+        self._history[self._slot] = carried
+        # MuJoCo's reading is one tick old already
+        raw = self._history[(self._slot - self._delay + 1) % MAX_DELAY, self._rows]
+        if np.isnan(raw).any():
+            raw = np.where(np.isnan(raw), carried, raw)
+        raw += self._noise[self._rows, self._tick % NOISE_ROWS]
+        raw += self._bias
+        raw += self._drift * self._tick[:, None]
+        self._tick += 1
+        self.saturated = (np.abs(raw) >= RANGE).any(axis=1)
+        self.raw = np.clip(raw, -RANGE, RANGE)
+        own = self.raw - self._gravity(rotation)
+        self._average += (own - self._average) / ZERO_TICKS
+        own -= self._zero
+        force = np.einsum("nij,nj->ni", rotation, own[:, :3])
+        # the moment about the TCP, taken in the flange's frame where the lever is along z
+        own[:, 3] += self._tcp * own[:, 1]
+        own[:, 4] -= self._tcp * own[:, 0]
+        self.wrench[:, :3] = force
+        self.wrench[:, 3:] = np.einsum("nij,nj->ni", rotation, own[:, 3:])
+
+    def zero(self, cells: npt.NDArray[np.int64]) -> None:
+        """Make the running average of the last moments the zero of `cells`; meaningless in contact or in motion."""
+        self._zero[cells] = self._average[cells]
+
+    def _gravity(self, rotation: Array) -> Array:
+        """Wrench of the configured payload's weight, (n, 6), flange axes: force along base -z at the payload's centre."""
+        out = np.zeros((len(rotation), 6))
+        out[:, :3] = -self._weight * rotation[:, 2, :]
+        out[:, 3] = -self._com * out[:, 1]
+        out[:, 4] = self._com * out[:, 0]
+        return out

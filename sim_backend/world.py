@@ -1,0 +1,229 @@
+"""n simulated cells stepped together: the plant, its sensor and its arm controller, one tick of 2 ms at a time.
+
+The same class serves one cell over Zenoh and hundreds in training: there is no other simulation.
+"""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from mujoco.batch import Batch
+
+from sim_backend import kinematics, scene
+from sim_backend.arm import ArmController, Limits
+from sim_backend.conditions import Episode, draw
+from sim_backend.parts import hole_walls, wall_centres
+from sim_backend.protocol import pose
+from sim_backend.protocol.task import Part, Task
+from sim_backend.protocol.wire import StopReason
+from sim_backend.sensor import ForceTorqueSensor
+
+Array = npt.NDArray[np.float64]
+Cells = npt.NDArray[np.int64]
+
+START_POSITION_M = (scene.NOMINAL_HOLE_M[0], scene.NOMINAL_HOLE_M[1], 0.180)
+"""TCP at which an episode begins, tool down."""
+START_YAW_RAD = 0.0
+ESTIMATE_TICKS = 20
+"""Ticks per camera frame."""
+_NEAR_JOINTS = np.array([-0.2, -1.9, -1.7, -1.1, 1.57, 0.0])
+"""Elbow up, over the table: the branch of the inverse kinematics that the arm lives on."""
+
+
+class World:
+    """n cells.
+
+    Args:
+        n: how many.
+        part: peg and hole of all of them; clearance, pose and plant differ from cell to cell.
+        threads: that step the physics; 0 for one per core.
+
+    Attributes:
+        joints: (n, 6) measured, rad.
+        position: (n, 3) measured TCP, base frame.
+        rotation: (n, 3, 3) measured orientation of the TCP.
+        sensor: what it reads; `sensor.wrench` (n, 6) is the compensated one.
+        estimate: (n, 3) the camera's estimate of the hole's mouth.
+        arm: the arm controllers.
+        ticks: (n,) since each cell's reset.
+    """
+
+    def __init__(self, n: int = 1, part: Part = "tr", threads: int = 1) -> None:
+        self.n = n
+        self.part: Part = part
+        self._scene = scene.build(part)
+        model = self._scene.model
+        self.model = model
+        self._batch = Batch(model, nsim=n, nthread=threads)
+        batch = self._batch
+        self._qpos, self._qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
+        self._block_position, self._block_quat = batch.bind("mocap_pos")[:, 0], batch.bind("mocap_quat")[:, 0]
+        self._warmstart = batch.bind("qacc_warmstart")
+        self._load = batch.bind("sensordata")
+        site = model.site("tcp").id
+        self._tcp_position = batch.bind("site_xpos")[:, site]
+        self._tcp_rotation = batch.bind("site_xmat").reshape(n, -1, 3, 3)[:, site]
+        self._orientation = batch.bind("xquat")[:, self._scene.gripper_body]
+        self._peg_position = batch.bind("xpos")[:, self._scene.peg_body]
+        self._wall_position = batch.expand("geom_pos")
+        self._friction = batch.expand("geom_friction")
+        self._body_position = batch.expand("body_pos")
+        self._mass = batch.expand("body_mass")
+        self._inertia = batch.expand("body_inertia")
+        self._finger_stiffness = batch.expand("jnt_stiffness")
+        self.sensor = ForceTorqueSensor(n, scene.PAYLOAD_KG, scene.PAYLOAD_COM_M, scene.TCP_OFFSET_M)
+        self.arm = ArmController(
+            n,
+            scene.TCP_OFFSET_M,
+            (scene.PAYLOAD_KG, scene.PAYLOAD_COM_M),
+            model.actuator_gainprm[:, 0],
+            -model.actuator_biasprm[:, 2],
+        )
+        self._episodes: list[Episode] = [draw(Task(0, part))] * n
+        self._all = np.arange(n)
+        self.clearance = np.full(n, 2e-3)
+        self.joints = np.zeros((n, 6))
+        self.position, self.rotation = np.zeros((n, 3)), np.zeros((n, 3, 3))
+        self.estimate = np.zeros((n, 3))
+        self._offset = np.zeros((n, 3))
+        self._jitter = np.zeros((n, 64, 3))
+        self.ticks = np.zeros(n, np.int64)
+        self._stiffness_scale = np.ones(n)
+        self.reset(self._all, [Task(i, part) for i in range(n)])
+
+    def reset(self, cells: Cells, tasks: Sequence[Task]) -> None:
+        """Lay out cells anew: another hole, another plant, the arm at rest at the start pose.
+
+        Args:
+            cells: (k,) which.
+            tasks: k tasks; their part must be this world's.
+
+        Raises:
+            ValueError: a task names another part.
+        """
+        walls = self._scene.wall_geoms
+        for cell, task in zip(cells, tasks, strict=True):
+            if task.part != self.part:
+                raise ValueError(
+                    f"this world holds part {self.part!r}, the task asks for {task.part!r}; start another world"
+                )
+            episode = draw(task)
+            self._episodes[cell] = episode
+            self.clearance[cell] = task.clearance_m
+            self._block_position[cell] = episode.hole_position
+            self._block_quat[cell] = [np.cos(episode.hole_yaw / 2), 0, 0, np.sin(episode.hole_yaw / 2)]
+            self._wall_position[cell, walls, :2] = wall_centres(
+                self._scene.part, task.clearance_m, scene.WALL_HALF_THICKNESS_M
+            )
+            self._friction[cell, :, 0] = episode.friction
+            self._body_position[cell, self._scene.peg_body, :2] = episode.grasp_offset
+            self._mass[cell, self._scene.gripper_body] = scene.GRIPPER_MASS_KG * episode.mass_scale
+            self._inertia[cell, self._scene.gripper_body] = (
+                self.model.body_inertia[self._scene.gripper_body] * episode.mass_scale
+            )
+            self._finger_stiffness[cell, -1] = scene.FINGER_STIFFNESS_NM * episode.stiffness_scale
+            self._stiffness_scale[cell] = episode.stiffness_scale
+            self._offset[cell] = episode.hole_position + episode.estimate_offset
+            self._jitter[cell] = episode.estimate_noise
+            self.sensor.reset(int(cell), episode)
+            self.ticks[cell] = 0
+        k = len(cells)
+        self.place(cells, np.tile(START_POSITION_M, (k, 1)), np.full(k, START_YAW_RAD))
+
+    def place(self, cells: Cells, position: Array, yaw: Array) -> None:
+        """Put arms at rest with the TCP at `position` (k, 3), tool down, yaw (k,); their programs are idle afterwards.
+
+        Raises:
+            KinematicsError: out of reach.
+        """
+        rotation = pose.tool_down(yaw)
+        flange = position - rotation @ np.array([0.0, 0.0, scene.TCP_OFFSET_M])
+        joints = kinematics.inverse(flange, rotation, np.broadcast_to(_NEAR_JOINTS, (len(cells), 6)))
+        self.arm.place(cells, joints, np.array([self._episodes[c].target_delay for c in cells], np.int64))
+        self._qpos[cells] = np.column_stack([joints, np.zeros(len(cells))])
+        self._qvel[cells] = 0.0
+        self._warmstart[cells] = 0.0
+        self._ctrl[cells] = joints
+        self._batch.forward(None if len(cells) == self.n else cells.astype(np.int32))
+        self._measure()
+
+    def zero_ft(self, cells: Cells) -> None:
+        """Zero the sensors of `cells`: refused by the arm controller's owner while engaged, and meaningless in contact."""
+        self.sensor.zero(cells)
+
+    def engage(
+        self, cells: Cells, stiffness: Array, damping: Array, inertia: Array, limits: Limits
+    ) -> npt.NDArray[np.bool_]:
+        """Start the control programs; the plant's stiffness error applies. Returns (k,) which were engaged."""
+        scaled = np.broadcast_to(stiffness, (len(cells), 6)) * self._stiffness_scale[cells, None]
+        return self.arm.engage(cells, scaled, damping, inertia, limits)
+
+    def stop(self, cells: Cells) -> None:
+        """Stop arms, as a client's command does."""
+        self.arm.stop(cells, StopReason.COMMAND)
+
+    def tick(self) -> None:
+        """Advance every cell by one tick of 2 ms."""
+        self._ctrl[:] = self.arm.update(self.joints, self.sensor.wrench, self.position, self._orientation)
+        self._batch.step()
+        self.ticks += 1
+        self._measure()
+        self.sensor.read(-self._load, self.rotation)
+        frame = (self.ticks // ESTIMATE_TICKS) % 64
+        self.estimate = self._offset + self._jitter[self._all, frame]
+
+    def data(self, cell: int = 0) -> mujoco.MjData:
+        """One cell as MuJoCo data, for rendering and inspection."""
+        return self._batch.get_data(cell)
+
+    @property
+    def twist(self) -> Array:
+        """(n, 6) measured twist of the TCP, base frame, m/s and rad/s."""
+        return np.einsum("nij,nj->ni", self.arm.jacobian, self._qvel[:, :6])
+
+    @property
+    def joint_speeds(self) -> Array:
+        """(n, 6) measured, rad/s."""
+        return self._qvel[:, :6]
+
+    @property
+    def depth(self) -> Array:
+        """(n,) true depth of the peg's bottom below the hole's mouth, m; negative above it."""
+        return self._block_position[:, 2] - self._peg_position[:, 2]
+
+    @property
+    def offset(self) -> Array:
+        """(n, 2) true position of the peg's axis in the hole's frame, m."""
+        delta = self._peg_position[:, :2] - self._block_position[:, :2]
+        cosine, sine = np.cos(self.hole_yaw), np.sin(self.hole_yaw)
+        return np.stack([cosine * delta[:, 0] + sine * delta[:, 1], cosine * delta[:, 1] - sine * delta[:, 0]], axis=1)
+
+    @property
+    def hole_yaw(self) -> Array:
+        """(n,) true yaw of the hole, rad."""
+        return 2.0 * np.arctan2(self._block_quat[:, 3], self._block_quat[:, 0])
+
+    @property
+    def hole_position(self) -> Array:
+        """(n, 3) true centre of the hole's mouth, m."""
+        return self._block_position
+
+    @property
+    def contained(self) -> npt.NDArray[np.bool_]:
+        """(n,) whether the peg's axis lies inside the hole's outline."""
+        walls = np.stack([hole_walls(self._scene.part, c) for c in np.unique(self.clearance)])
+        of_cell = walls[np.searchsorted(np.unique(self.clearance), self.clearance)]
+        offset = self.offset
+        along = np.cos(of_cell[:, :, 0]) * offset[:, :1] + np.sin(of_cell[:, :, 0]) * offset[:, 1:]
+        return (along <= of_cell[:, :, 1]).all(axis=1)
+
+    @property
+    def true_force(self) -> Array:
+        """(n,) resultant of the true contact force on the gripper and the peg, N, gravity and inertia included."""
+        return np.sqrt((self._load[:, :3] ** 2).sum(axis=1))
+
+    def _measure(self) -> None:
+        self.joints = self._qpos[:, :6].copy()
+        self.position = self._tcp_position.copy()
+        self.rotation = self._tcp_rotation.copy()
