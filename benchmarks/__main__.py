@@ -1,0 +1,63 @@
+"""Command line of the benchmarks: run all or some, print the tables, save them."""
+
+import importlib
+import warnings
+from pathlib import Path
+from typing import Annotated, Protocol, cast
+
+import typer
+from rich.console import Console
+
+from benchmarks import machine, report
+from benchmarks.result import Result, UnavailableError
+
+BENCHMARKS = ("tick", "stop_latency", "round_trip", "lockstep", "lateness", "throughput", "training_share")
+FOLDER = Path(__file__).parent / "results"
+
+
+class Benchmark(Protocol):
+    """A module of this package with one measurement."""
+
+    def measure(self, scale: float) -> Result:
+        """Measure; `scale` multiplies the number of repetitions."""
+        ...
+
+
+def run(
+    names: Annotated[
+        list[str] | None, typer.Argument(help=f"Which: {', '.join(BENCHMARKS)}; all unless named.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="A tenth of the repetitions; nothing is saved.")] = False,
+    out: Annotated[Path, typer.Option(help="Folder for latest.md and latest.json.")] = FOLDER,
+) -> None:
+    """Measure, print and save."""
+    console = Console()
+    wanted = names or list(BENCHMARKS)
+    if unknown := sorted(set(wanted) - set(BENCHMARKS)):
+        console.print(f"no benchmark {', '.join(unknown)}; there are {', '.join(BENCHMARKS)}")
+        raise typer.Exit(2)
+    taken = machine.conditions()
+    console.print(", ".join(f"{name} {value}" for name, value in taken.items()), highlight=False)
+    results: dict[str, Result] = {}
+    for name in wanted:
+        load = machine.load()
+        with console.status(f"{name} …"):
+            results[name] = _measure(name, 0.1 if quick else 1.0)
+        taken[f"load at {name}"] = load
+        report.show(console, name, results[name])
+    if not quick:
+        for path in report.save(out, taken, results):
+            console.print(f"wrote {path}", highlight=False)
+
+
+def _measure(name: str, scale: float) -> Result:
+    try:
+        module = cast("Benchmark", importlib.import_module(f"benchmarks.{name}"))
+        return module.measure(scale)
+    except (UnavailableError, ModuleNotFoundError) as error:
+        return Result(question="", missing=str(error))
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("default")
+    typer.run(run)
