@@ -1,10 +1,15 @@
 """Command line of the simulated cell: `python -m sim_backend serve` and `python -m sim_backend render`."""
 
+import os
 import signal
 import sys
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, NoReturn, get_args
+
+# ruff: noqa: E402
+# With MUJOCO_GL set, `import mujoco` itself loads that backend and fails without it; only the renderer depends on it.
+_BACKEND = os.environ.pop("MUJOCO_GL", "egl")
 
 import typer
 
@@ -45,10 +50,10 @@ def serve(
     except (EndpointError, ValueError) as error:
         _fail(str(error), EXIT_USAGE)
     with session:
-        cell = SimulatedCell(seed=seed)
-        cell.reset(task)
-        # After the session, so that Zenoh's threads keep ordinary scheduling.
+        # Between the two: Zenoh's threads keep ordinary scheduling, those of the physics inherit this one's.
         refused = request_scheduling() if mode is Mode.REAL_TIME else []
+        cell = SimulatedCell(task.part)
+        cell.reset(task)
         for line in refused:
             typer.echo(f"degraded: {line}", err=True)
         try:
@@ -72,9 +77,9 @@ def render(
     """Draw the start of an episode."""
     try:
         task = Task.from_json({"seed": seed, "part": part})
-        cell = SimulatedCell(seed=seed)
+        cell = SimulatedCell(task.part)
         cell.reset(task)
-        with rendering.Renderer(cell.model, width, height) as renderer:
+        with rendering.Renderer(cell.model, width, height, _BACKEND) as renderer:
             picture = renderer.draw(cell.data(), camera)
         rendering.write_png(out, picture)
     except rendering.RenderingUnavailableError as error:

@@ -1,9 +1,8 @@
 """What a simulated cell answers to each query: bytes in, bytes out, no transport and no thread."""
 
 import json
-from typing import Any
+from typing import Any, cast
 
-import numpy as np
 import numpy.typing as npt
 
 from sim_backend.cell import SimulatedCell
@@ -23,14 +22,14 @@ class RequestError(ValueError):
     """A request that cannot be carried out and has changed nothing; the text is the reply to the client."""
 
 
-def read_commands(payload: bytes) -> npt.NDArray[Any]:
+def read_commands(payload: bytes) -> list[npt.NDArray[Any]]:
     """Read commands off the wire.
 
     Args:
         payload: one or more `wire.COMMAND` records.
 
     Returns:
-        (n,) read-only array of `wire.COMMAND`, each of a kind that is a command. Values are not judged here.
+        n read-only records of `wire.COMMAND`, shape (), each of a kind that is a command. Values are not judged here.
 
     Raises:
         wire.WireError: not that.
@@ -41,7 +40,7 @@ def read_commands(payload: bytes) -> npt.NDArray[Any]:
     for kind in commands["kind"]:
         if kind not in _COMMAND_KINDS:
             raise wire.WireError(f"kind {int(kind)} is not a command, want one of {_COMMAND_KINDS}")
-    return commands
+    return [commands[index, ...] for index in range(len(commands))]
 
 
 def advance(cell: SimulatedCell, parameters: str, payload: bytes) -> bytes:
@@ -60,11 +59,11 @@ def advance(cell: SimulatedCell, parameters: str, payload: bytes) -> bytes:
     """
     ticks = _read_ticks(parameters)
     try:
-        commands = read_commands(payload) if payload else np.empty(0, wire.COMMAND)
+        commands = read_commands(payload) if payload else []
     except wire.WireError as error:
         raise RequestError(f"advance: {error}") from error
-    for index in range(len(commands)):
-        cell.apply(commands[index : index + 1])
+    for command in commands:
+        cell.apply(command)
     return b"".join([cell.tick().tobytes() for _ in range(ticks)])
 
 
@@ -84,13 +83,13 @@ def reset(cell: SimulatedCell, payload: bytes) -> bytes:
     if len(payload) > MAX_TASK_BYTES:
         raise RequestError(f"reset: a task of {len(payload)} bytes, at most {MAX_TASK_BYTES}")
     try:
-        document: Any = json.loads(payload)
+        document = json.loads(payload)
     except (ValueError, RecursionError) as error:
         raise RequestError(f"reset: the task is not JSON: {error}") from error
     if not isinstance(document, dict):
         raise RequestError('reset: the task must be a JSON object such as {"seed": 0}')
     try:
-        return cell.reset(Task.from_json(document)).tobytes()
+        return cell.reset(Task.from_json(cast(dict[str, Any], document))).tobytes()
     except ValueError as error:
         raise RequestError(f"reset: {error}") from error
 

@@ -16,17 +16,15 @@ _PRIORITY = 50
 
 
 def request_scheduling() -> list[str]:
-    """Ask for real-time scheduling of this thread and for locked memory; keep the collector off what exists now.
+    """Ask for real-time scheduling of this thread and for locked memory.
 
-    Threads started before keep their scheduling.
+    Threads started before keep their scheduling; threads started by this one afterwards inherit it.
 
     Returns:
         What was refused, one line each with its remedy; empty when everything was granted.
     """
     refused: list[str] = []
     sys.setswitchinterval(5e-4)  # a waiting tick must not stand 5 ms behind another Python thread
-    gc.collect()
-    gc.freeze()
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     except OSError as error:
@@ -36,6 +34,12 @@ def request_scheduling() -> list[str]:
         reason = os.strerror(ctypes.get_errno())
         refused.append(f"no mlockall ({reason}), page faults may delay a tick; grant CAP_IPC_LOCK or a memlock limit")
     return refused
+
+
+def freeze_garbage() -> None:
+    """Take what exists now out of the collector's sight: its passes over a loaded program last longer than a tick."""
+    gc.collect()
+    gc.freeze()
 
 
 def has_realtime_scheduling() -> bool:

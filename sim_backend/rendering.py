@@ -1,6 +1,5 @@
 """Pictures of a scene, off screen. Needs EGL (or OSMesa); everything else in this project does without."""
 
-import os
 import struct
 import zlib
 from pathlib import Path
@@ -21,22 +20,21 @@ class RenderingUnavailableError(RuntimeError):
 class Renderer:
     """Draws one model from its named cameras. A context manager; use it from one thread."""
 
-    def __init__(self, model: mujoco.MjModel, width: int = 1280, height: int = 720) -> None:
+    def __init__(self, model: mujoco.MjModel, width: int = 1280, height: int = 720, backend: str = "egl") -> None:
         """Make an OpenGL context and upload the model.
-
-        `MUJOCO_GL` chooses `egl` (the default) or `osmesa`.
 
         Args:
             model: compiled.
             width: of the pictures, pixels.
             height: of the pictures, pixels.
+            backend: `egl` or `osmesa`.
 
         Raises:
             RenderingUnavailableError: no such context can be made here.
         """
         self._model = model
         self._viewport = mujoco.MjrRect(0, 0, width, height)
-        self._gl = _new_context(width, height)
+        self._gl = _new_context(backend, width, height)
         self._scene = mujoco.MjvScene(model, 2000)
         self._option = mujoco.MjvOption()
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
@@ -53,7 +51,7 @@ class Renderer:
         """Draw a state.
 
         Args:
-            data: of the same model, with its kinematics computed.
+            data: of the same model; its kinematics are brought up to date.
             camera: name of a camera in the model.
 
         Returns:
@@ -66,6 +64,9 @@ class Renderer:
         if index < 0:
             names = ", ".join(self._model.camera(i).name for i in range(self._model.ncam))
             raise ValueError(f"no camera {camera!r} in the scene, it has {names}")
+        mujoco.mj_kinematics(self._model, data)
+        mujoco.mj_comPos(self._model, data)
+        mujoco.mj_camlight(self._model, data)
         view = mujoco.MjvCamera()
         view.type = mujoco.mjtCamera.mjCAMERA_FIXED
         view.fixedcamid = index
@@ -98,11 +99,10 @@ def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + body)
 
 
-def _new_context(width: int, height: int) -> Any:
+def _new_context(backend: str, width: int, height: int) -> Any:
     """Return a current off-screen OpenGL context, made without mujoco's own choice, which is fixed at import."""
-    backend = os.environ.get("MUJOCO_GL") or "egl"
     if backend not in ("egl", "osmesa"):
-        raise RenderingUnavailableError(f"MUJOCO_GL={backend} is not an off-screen backend, use egl or osmesa")
+        raise RenderingUnavailableError(f"{backend!r} is not an off-screen backend, use egl or osmesa")
     try:
         if backend == "egl":
             from mujoco.egl import GLContext

@@ -15,7 +15,7 @@ import zenoh
 from sim_backend import answers
 from sim_backend.cell import SimulatedCell
 from sim_backend.protocol import keys, wire
-from sim_backend.realtime import Metronome, has_realtime_scheduling
+from sim_backend.realtime import Metronome, freeze_garbage, has_realtime_scheduling
 
 _QUERY_CAPACITY = 64
 _COMMAND_CAPACITY = 256
@@ -91,6 +91,7 @@ class Server:
             self._answer(self._queries.recv())
 
     def _run_in_real_time(self) -> NoReturn:
+        freeze_garbage()
         metronome = Metronome(wire.TICK_S, spin=has_realtime_scheduling())
         while True:
             metronome.wait()
@@ -118,9 +119,8 @@ class Server:
             except wire.WireError:
                 self.counters.commands_malformed += 1
                 continue
-            for index in range(len(commands)):
-                command = commands[index : index + 1]
-                if command["kind"][0] == wire.Kind.STOP:
+            for command in commands:
+                if command["kind"] == wire.Kind.STOP:
                     self.counters.commands_dropped += len(others)
                     others.clear()
                     stops.append(command)

@@ -44,11 +44,13 @@ class Task:
 
     def check(self) -> None:
         """Raise ValueError, naming the field, for a value that no world can be built from."""
-        if not isinstance(self.seed, int) or self.seed < 0:
+        if type(self.seed) is not int or self.seed < 0:
             raise ValueError(f"task.seed must be a non-negative integer, not {self.seed!r}")
         if self.part not in Part.__args__:
             raise ValueError(f"task.part must be one of {', '.join(Part.__args__)}, not {self.part!r}")
         if self.conditions not in Conditions.__args__:
             raise ValueError(f"task.conditions must be one of {', '.join(Conditions.__args__)}, not {self.conditions!r}")
-        if not 0.05e-3 <= self.clearance_m <= 6e-3:
+        if type(self.clearance_m) not in (float, int) or not 0.05e-3 <= self.clearance_m <= 6e-3:
             raise ValueError(f"task.clearance_m must lie in 0.05e-3 … 6e-3 m, not {self.clearance_m!r}")
+        if type(self.randomise_plant) is not bool:
+            raise ValueError(f"task.randomise_plant must be true or false, not {self.randomise_plant!r}")

@@ -138,8 +138,8 @@ def decode(payload: bytes, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
     if not payload or len(payload) % dtype.itemsize:
         raise WireError(f"{len(payload)} bytes are not a whole number of {dtype.itemsize}-byte records")
     records = np.frombuffer(payload, dtype)
-    if not (records["magic"] == MAGIC).all():
-        raise WireError(f"wrong magic {int(records['magic'][0]):#x}, want {MAGIC:#x}")
-    if not (records["version"] == VERSION).all():
-        raise WireError(f"schema version {int(records['version'][0])}, this side reads {VERSION}")
+    for magic in records["magic"][records["magic"] != MAGIC]:
+        raise WireError(f"wrong magic {int(magic):#x}, want {MAGIC:#x}")
+    for version in records["version"][records["version"] != VERSION]:
+        raise WireError(f"schema version {int(version)}, this side reads {VERSION}")
     return records
