@@ -1,0 +1,154 @@
+"""Puts the HTTP server together: routes, errors, protection, and what lives as long as it does."""
+
+import asyncio
+import signal
+import threading
+from collections.abc import AsyncGenerator, Callable, Generator
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import structlog
+from fastapi import FastAPI
+from fastapi.staticfiles import StaticFiles
+
+from api import problems
+from api.cell import Cell
+from api.history import RunHistory
+from api.processes import JOIN_S, CellProcesses
+from api.protection import Protection
+from api.routes import commands, page, runs, state, streams
+from api.runtime import Runtime
+from service.client import CellClient
+from service.config import CellConfig
+
+VERSION = "1.0.0"
+DESCRIPTION = """\
+Commands and watches one assembly cell.
+
+This is process protection. It is not the robot's emergency stop and replaces none of its certified safety functions.
+
+Units are SI; frames and signs are those of `docs/architecture.md`. Every error is an RFC 9457 problem
+(`application/problem+json`). There is no authorisation yet: the server accepts requests from this machine only.
+"""
+TAGS = [
+    {"name": "commands", "description": "Start, stop, reset."},
+    {"name": "state", "description": "What is measured; whether the server is fit to serve."},
+    {"name": "runs", "description": "What was done."},
+    {"name": "streams", "description": "Server-sent events."},
+]
+
+_log = structlog.get_logger("api")
+
+
+def build_routes(lifespan: Callable[[FastAPI], Any] | None = None) -> FastAPI:
+    """Return the application without a cell behind it: enough for its OpenAPI document."""
+    app = FastAPI(
+        title="dsl-assembly cell",
+        summary="One robot cell that inserts pegs under a dynamic safety lock",
+        description=DESCRIPTION,
+        version=VERSION,
+        openapi_tags=TAGS,
+        docs_url=None,  # Swagger's page loads from elsewhere, and a cell has no internet
+        redoc_url=None,
+        lifespan=lifespan,
+    )
+    problems.install(app)
+    for module in (commands, state, runs, streams, page):
+        app.include_router(module.router)
+    app.mount("/page", StaticFiles(directory=page.FOLDER), name="page")
+    return app
+
+
+def create_app(config: CellConfig, path: Path) -> Protection:
+    """Build the server of one cell.
+
+    Args:
+        config: of the cell.
+        path: of its file, handed on to a control process that is started.
+
+    Returns:
+        The ASGI application.
+
+    Raises:
+        ValueError: `api.database` names a database that is not supported.
+    """
+    database = config.api.database or f"sqlite+aiosqlite:///{config.cell.state_dir / 'runs.sqlite'}"
+    RunHistory.check_url(database)
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
+        endpoint = [config.cell.endpoint]
+        history = RunHistory(database)
+        await history.open()
+        processes = CellProcesses(config, path)
+        closing = asyncio.Event()
+        async with CellClient(config.cell.id, endpoint) as client, CellClient(config.cell.id, endpoint) as stopper:
+            cell = Cell(client, stopper, history)
+            app.state.runtime = Runtime(config, cell, processes, closing)
+
+            def close_streams() -> None:
+                closing.set()
+                cell.feed.close()
+
+            tasks = [_spawn(cell.follow()), _spawn(_join_or_start(cell, processes))]
+            with _before_shutdown(close_streams):
+                yield
+            close_streams()
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            await processes.end()
+        await history.close()
+
+    return Protection(build_routes(lifespan), hosts=config.api.allowed_hosts, allow_remote=config.api.allow_remote)
+
+
+async def _join_or_start(cell: Cell, processes: CellProcesses) -> None:
+    if await cell.wait_alive(JOIN_S):
+        _log.info("joined a control process that was there")
+        return
+    await processes.start()
+    await processes.watch()
+
+
+def _spawn(work: Any) -> asyncio.Task[None]:
+    task: asyncio.Task[None] = asyncio.create_task(work)
+    task.add_done_callback(_report_crash)
+    return task
+
+
+def _report_crash(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (error := task.exception()) is not None:
+        _log.critical("a background task crashed", exc_info=error)
+
+
+@contextmanager
+def _before_shutdown(close_streams: Callable[[], None]) -> Generator[None]:
+    """Call `close_streams` as soon as a signal asks the server to end.
+
+    uvicorn waits for open responses before it tells the application to end, so an open event stream would hold it up
+    for ever. The handlers that are in place are called after ours.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    loop = asyncio.get_running_loop()
+    previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        loop.call_soon_threadsafe(close_streams)
+        handler = previous[signal.Signals(number)]
+        if callable(handler):
+            handler(number, frame)
+
+    for number, handler in previous.items():
+        if callable(handler):
+            signal.signal(number, on_signal)
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            if callable(handler):
+                signal.signal(number, handler)

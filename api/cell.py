@@ -1,0 +1,147 @@
+"""The API's side of one cell: its last heartbeat, its events, its runs on their way into the history."""
+
+import asyncio
+import time
+from collections.abc import Callable
+
+import structlog
+
+from api.feed import EventFeed
+from api.history import HistoryError, RunHistory
+from service.client import SILENCE_S, CellClient, CellError
+from service.messages import CellState, Event, EventKind, Run, RunsRequest, RunState, Status
+
+_log = structlog.get_logger("api.cell")
+
+WATCH_S = 0.1
+LEDGER_PAGE = 200
+
+
+class Cell:
+    """Follows the control process and keeps the history in step with its ledger.
+
+    Args:
+        client: for everything but a stop.
+        stopper: a client with a session of its own, so that a stop queues behind nothing.
+        history: where runs go.
+        clock: monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        client: CellClient,
+        stopper: CellClient,
+        history: RunHistory,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.client = client
+        self.stopper = stopper
+        self.history = history
+        self.feed = EventFeed()
+        self._clock = clock
+        self._last_state = CellState.UNKNOWN
+        self._reconcile = asyncio.Event()
+
+    @property
+    def is_silent(self) -> bool:
+        return not self.client.is_alive
+
+    @property
+    def last_status(self) -> Status | None:
+        return self.client.last_status
+
+    async def follow(self) -> None:
+        """Run until cancelled."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._follow_statuses())
+            tasks.create_task(self._follow_events(tasks))
+            tasks.create_task(self._watch_state())
+            tasks.create_task(self._reconcile_forever())
+            tasks.create_task(self.history.write_forever())
+
+    async def wait_alive(self, timeout_s: float) -> bool:
+        """Return whether a heartbeat is there within `timeout_s`."""
+        deadline = self._clock() + timeout_s
+        while self.is_silent and self._clock() < deadline:
+            await asyncio.sleep(0.02)
+        return not self.is_silent
+
+    def current(self, run: Run) -> Run:
+        """Return the newer of `run` and what the last heartbeat says of it."""
+        status = self.last_status
+        live = status.run if status is not None else None
+        return live if live is not None and live.id == run.id and run.state is RunState.ACTIVE else run
+
+    async def _follow_statuses(self) -> None:
+        epoch: str | None = None
+        known: tuple[str, RunState] | None = None
+        async with self.client.statuses() as statuses:
+            while True:
+                status = await statuses.get()
+                if status.service_epoch != epoch:
+                    epoch = status.service_epoch
+                    self._reconcile.set()
+                run = status.run
+                if run is not None and (run.id, run.state) != known:
+                    known = run.id, run.state
+                    self.history.put(run)
+                self._note_state(status.state)
+
+    async def _follow_events(self, tasks: asyncio.TaskGroup) -> None:
+        last: Event | None = None
+        async with self.client.events() as events:
+            while True:
+                event = await events.get()
+                if last is not None and (event.service_epoch, event.seq) != (last.service_epoch, last.seq + 1):
+                    self._reconcile.set()
+                last = event
+                self.feed.publish(event)
+                if event.kind is EventKind.RUN and event.run_id is not None:
+                    tasks.create_task(self._fetch(event.run_id))
+
+    async def _fetch(self, run_id: str) -> None:
+        try:
+            self.history.put(await self.client.run(run_id))
+        except CellError:
+            self._reconcile.set()
+
+    async def _watch_state(self) -> None:
+        silent = True
+        while True:
+            await asyncio.sleep(WATCH_S)
+            if silent and not self.is_silent:
+                self._reconcile.set()
+            silent = self.is_silent
+            self._note_state(self.client.state)
+
+    def _note_state(self, state: CellState) -> None:
+        if state is not self._last_state:
+            _log.info("state", state=state.value, before=self._last_state.value)
+            self._last_state = state
+            self.feed.nudge()
+
+    async def _reconcile_forever(self) -> None:
+        """Ask the ledger for what was missed: at the start, after a silence, after a lost event."""
+        while True:
+            await self._reconcile.wait()
+            self._reconcile.clear()
+            try:
+                await self._read_ledger()
+            except (CellError, HistoryError) as error:
+                _log.warning("reconcile", error=str(error))
+                await asyncio.sleep(SILENCE_S)
+                self._reconcile.set()
+
+    async def _read_ledger(self) -> None:
+        before: str | None = None
+        seen: set[str] = set()
+        while True:
+            page = await self.client.runs(RunsRequest(limit=LEDGER_PAGE, before=before))
+            fresh = [run for run in page if run.id not in seen]
+            seen.update(run.id for run in page)
+            changed = [run for run in fresh if await self.history.find(run.id) != run]
+            if changed:
+                await self.history.record(changed)
+            if len(page) < LEDGER_PAGE or not changed:
+                return
+            before = page[-1].id

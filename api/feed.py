@@ -1,0 +1,94 @@
+"""The cell's events as a stream that a client can leave and take up again where it left."""
+
+import asyncio
+from collections import deque
+from collections.abc import Generator
+from contextlib import contextmanager
+
+from service.messages import Event
+
+EVENTS_HELD = 1024
+SUBSCRIBER_QUEUE = 256
+
+
+def event_id(event: Event) -> str:
+    """Return the id that a client gives back as `Last-Event-ID`; it outlives a restart of the API."""
+    return f"{event.service_epoch}.{event.seq}"
+
+
+class Subscription:
+    """One client's queue of events. `None` in it means: look at the status now.
+
+    Attributes:
+        resumed: False where events between the client's last one and now are lost to it.
+        ended: the client was too slow, or the feed was closed; it must connect again.
+    """
+
+    def __init__(self, backlog: list[Event], resumed: bool) -> None:
+        self.resumed = resumed
+        self.ended = False
+        self._queue: asyncio.Queue[Event | None] = asyncio.Queue(SUBSCRIBER_QUEUE + EVENTS_HELD)
+        for event in backlog:
+            self._queue.put_nowait(event)
+
+    async def next(self, timeout_s: float) -> Event | None:
+        """Return the next event; None after `timeout_s`, or earlier when the status changed or the feed ended."""
+        try:
+            return await asyncio.wait_for(self._queue.get(), timeout_s)
+        except TimeoutError:
+            return None
+
+    def offer(self, event: Event | None) -> None:
+        try:
+            self._queue.put_nowait(event)
+        except asyncio.QueueFull:
+            self.end()
+
+    def end(self) -> None:
+        self.ended = True
+        if self._queue.empty():
+            self._queue.put_nowait(None)
+
+
+class EventFeed:
+    """Holds the newest events and hands new ones to every subscriber."""
+
+    def __init__(self) -> None:
+        self._held: deque[Event] = deque(maxlen=EVENTS_HELD)
+        self._subscriptions: set[Subscription] = set()
+        self._closed = False
+
+    def publish(self, event: Event) -> None:
+        self._held.append(event)
+        for subscription in self._subscriptions:
+            subscription.offer(event)
+
+    def nudge(self) -> None:
+        """Have every subscriber send the status now."""
+        for subscription in self._subscriptions:
+            subscription.offer(None)
+
+    def close(self) -> None:
+        """End every subscription, and those to come."""
+        self._closed = True
+        for subscription in self._subscriptions:
+            subscription.end()
+
+    @contextmanager
+    def subscribe(self, last_event_id: str | None = None) -> Generator[Subscription]:
+        """Subscribe, beginning after `last_event_id` where it is given and still held, else with what comes next."""
+        held = list(self._held)
+        backlog: list[Event] = []
+        resumed = True
+        if last_event_id is not None:
+            known = [index for index, event in enumerate(held) if event_id(event) == last_event_id]
+            resumed = bool(known)
+            backlog = held[known[-1] + 1 :] if known else held
+        subscription = Subscription(backlog, resumed)
+        self._subscriptions.add(subscription)
+        if self._closed:
+            subscription.end()
+        try:
+            yield subscription
+        finally:
+            self._subscriptions.discard(subscription)

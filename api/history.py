@@ -1,0 +1,232 @@
+"""Run history in SQLite: what `GET /runs` pages through. The control process's ledger stays the original.
+
+Nothing that moves or stops the robot waits for this database. Where it cannot be used, `problem` says why, starts are
+refused with that reason, and stop and status go on.
+"""
+
+import asyncio
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import structlog
+from sqlalchemy import JSON, URL, Index, String, event, make_url, or_, select
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.ext.asyncio import AsyncEngine, AsyncSession, async_sessionmaker, create_async_engine
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+from service.messages import Run, RunState
+
+_log = structlog.get_logger("api.history")
+
+BUSY_TIMEOUT_S = 1.0
+RETRY_S = 1.0
+
+
+class Base(DeclarativeBase):
+    """Tables of the history."""
+
+
+class RunRow(Base):
+    """One run: the columns that are sought by, and the whole document as the control process told it."""
+
+    __tablename__ = "runs"
+    __table_args__ = (Index("runs_newest_first", "requested_at", "id"),)
+
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    requested_at: Mapped[float]
+    recipe: Mapped[str] = mapped_column(String(64))
+    state: Mapped[str] = mapped_column(String(16))
+    code: Mapped[str | None] = mapped_column(String(32))
+    document: Mapped[dict[str, Any]] = mapped_column(JSON)
+
+
+class HistoryError(Exception):
+    """The database cannot be used; the text says why and what to do."""
+
+
+class RunHistory:
+    """Reads and writes the run history.
+
+    Args:
+        url: `sqlite+aiosqlite:///file`; the file's folder is made if it is not there.
+
+    Raises:
+        ValueError: another database.
+    """
+
+    def __init__(self, url: str) -> None:
+        parsed = self.check_url(url)
+        self._path = Path(str(parsed.database))
+        self._engine: AsyncEngine = create_async_engine(parsed, connect_args={"timeout": BUSY_TIMEOUT_S})
+        event.listen(self._engine.sync_engine, "connect", _use_wal)
+        self._sessions = async_sessionmaker(self._engine, expire_on_commit=False)
+        self._pending: dict[str, Run] = {}
+        self._wake = asyncio.Event()
+        self._opened = False
+        self.problem: str | None = None
+
+    @staticmethod
+    def check_url(url: str) -> URL:
+        """Return the parsed URL.
+
+        Raises:
+            ValueError: it does not name an SQLite file.
+        """
+        parsed = make_url(url)
+        if parsed.drivername != "sqlite+aiosqlite" or not parsed.database:
+            raise ValueError(f"api.database must be sqlite+aiosqlite:///FILE, not {parsed.render_as_string()}")
+        return parsed
+
+    async def open(self) -> None:
+        """Make the tables; a failure is kept in `problem`, not raised."""
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            async with self._engine.begin() as connection:
+                await connection.run_sync(Base.metadata.create_all)
+        except (OSError, SQLAlchemyError) as error:
+            self._note_failure(error)
+        else:
+            self._opened, self.problem = True, None
+
+    async def close(self) -> None:
+        await self._engine.dispose()
+
+    async def check(self) -> None:
+        """Make sure that a run could be recorded now.
+
+        Raises:
+            HistoryError: it could not.
+        """
+        if not self._opened:
+            await self.open()
+        if self._opened:
+            try:
+                async with self._engine.connect() as connection:
+                    await connection.exec_driver_sql("BEGIN IMMEDIATE")
+                    await connection.rollback()
+            except SQLAlchemyError as error:
+                self._note_failure(error)
+            else:
+                self.problem = None
+        if self.problem is not None:
+            raise HistoryError(self.problem)
+
+    def put(self, run: Run) -> None:
+        """Have `write_forever` record a run, new or changed; returns at once."""
+        self._pending[run.id] = run
+        self._wake.set()
+
+    async def write_forever(self) -> None:
+        """Write what `put` takes in, again and again until the database takes it."""
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            try:
+                await self.flush()
+            except HistoryError:
+                await asyncio.sleep(RETRY_S)
+                self._wake.set()
+
+    async def flush(self) -> None:
+        """Write what is pending now.
+
+        Raises:
+            HistoryError: the database does not take it; it stays pending.
+        """
+        if not self._opened:
+            await self.open()
+        runs = list(self._pending.values())
+        if runs:
+            await self.record(runs)
+        for run in runs:
+            if self._pending.get(run.id) is run:
+                del self._pending[run.id]
+
+    async def record(self, runs: Sequence[Run]) -> None:
+        """Insert or update; an ended run never becomes active again.
+
+        Raises:
+            HistoryError: the database does not take it.
+        """
+        try:
+            async with self._sessions.begin() as session:
+                for run in runs:
+                    row = await session.get(RunRow, run.id)
+                    if row is None:
+                        session.add(_row(run))
+                    elif row.state == RunState.ACTIVE or run.state is not RunState.ACTIVE:
+                        await session.merge(_row(run))
+        except SQLAlchemyError as error:
+            raise HistoryError(self._note_failure(error)) from error
+        self.problem = None
+
+    async def newest(self, limit: int, before: str | None = None) -> list[Run]:
+        """Return up to `limit` runs, newest first, those older than the run `before` where it is given.
+
+        Raises:
+            HistoryError: the database cannot be read.
+            KeyError: there is no run `before`.
+        """
+        statement = select(RunRow).order_by(RunRow.requested_at.desc(), RunRow.id.desc()).limit(limit)
+        async with self._reading() as session:
+            if before is not None:
+                edge = await session.get(RunRow, before)
+                if edge is None:
+                    raise KeyError(before)
+                statement = statement.where(
+                    or_(
+                        RunRow.requested_at < edge.requested_at,
+                        (RunRow.requested_at == edge.requested_at) & (RunRow.id < edge.id),
+                    )
+                )
+            rows = (await session.scalars(statement)).all()
+        return [Run.model_validate(row.document) for row in rows]
+
+    async def find(self, run_id: str) -> Run | None:
+        """Return one run.
+
+        Raises:
+            HistoryError: the database cannot be read.
+        """
+        async with self._reading() as session:
+            row = await session.get(RunRow, run_id)
+        return None if row is None else Run.model_validate(row.document)
+
+    @asynccontextmanager
+    async def _reading(self) -> AsyncGenerator[AsyncSession]:
+        try:
+            async with self._sessions() as session:
+                yield session
+        except SQLAlchemyError as error:
+            raise HistoryError(self._note_failure(error)) from error
+
+    def _note_failure(self, error: Exception) -> str:
+        cause = error.orig if isinstance(error, DBAPIError) else error
+        problem = (
+            f"The run history {self._path.name} cannot be used: {cause}. Free the disk, end what locks it, or move the "
+            "file away: it is rebuilt from the control process's ledger."
+        )
+        if problem != self.problem:
+            _log.error("history", problem=problem)
+        self.problem = problem
+        return problem
+
+
+def _row(run: Run) -> RunRow:
+    return RunRow(
+        id=run.id,
+        requested_at=run.requested_at,
+        recipe=run.recipe,
+        state=run.state.value,
+        code=run.code.value if run.code else None,
+        document=run.model_dump(mode="json"),
+    )
+
+
+def _use_wal(connection: Any, _record: Any) -> None:
+    cursor = connection.cursor()
+    cursor.execute("PRAGMA journal_mode=WAL")
+    cursor.execute("PRAGMA synchronous=NORMAL")
+    cursor.close()

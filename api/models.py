@@ -1,0 +1,178 @@
+"""What the HTTP API takes and answers, beside the control plane's own models in `service.messages`."""
+
+from typing import Self
+
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.config import JsonDict
+
+from service.client import CellClient
+from service.faults import FaultCode
+from service.messages import (
+    NAME_PATTERN,
+    CellState,
+    Counters,
+    Latch,
+    Measured,
+    Run,
+    Telemetry,
+)
+
+_RUN_EXAMPLE: JsonDict = {
+    "id": "20261122T140312-5f2c",
+    "recipe": "tr-2mm",
+    "seed": 7,
+    "state": "SUCCEEDED",
+    "code": None,
+    "text": "",
+    "requested_at": 1795356192.4,
+    "ended_at": 1795356199.1,
+    "requested_by": "api",
+    "idempotency_key": "5e0f6a2e",
+    "policy_sha256": None,
+    "phase": "LOCKED",
+    "steps": 52,
+    "depth_m": 0.0102,
+    "peak_force_n": 14.8,
+    "duration_s": 6.1,
+}
+
+
+class StartBody(BaseModel):
+    """Ask for one insertion."""
+
+    model_config = ConfigDict(
+        extra="forbid", json_schema_extra={"examples": [{"recipe": "tr-2mm", "seed": 7}, {"recipe": "tr-2mm"}]}
+    )
+
+    recipe: str = Field(pattern=NAME_PATTERN, description="One of the recipes that `GET /status` lists.")
+    seed: int | None = Field(
+        None, ge=0, lt=2**53, strict=True, description="Of the simulated world; drawn if left out. A real arm has none."
+    )
+
+
+class ResetBody(BaseModel):
+    """Acknowledge the latched fault. Nothing moves, and no run is taken up again."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {"operator": "M. Sato", "comment": "chip in the hole, removed", "acknowledge": "FORCE_CEILING"}
+            ]
+        },
+    )
+
+    operator: str = Field(min_length=1, max_length=64, description="Who looked at the cell.")
+    comment: str = Field("", max_length=500, description="What was found; stands in the server's log.")
+    acknowledge: FaultCode | None = Field(
+        None, description="The code that the operator saw; refused if another is in force by now."
+    )
+
+
+class CellStatus(BaseModel):
+    """What is measured now, and UNKNOWN where nothing is.
+
+    `state` is what the control process said in its last heartbeat if that is fresh; otherwise UNKNOWN, and `measured`
+    is left out.
+    """
+
+    cell: str
+    state: CellState
+    heartbeat_age_s: float | None = Field(description="Since the control process was last heard; null if it never was.")
+    last_known_state: CellState | None = Field(
+        description="What it said when last heard. While `state` is UNKNOWN the cell may have changed since."
+    )
+    can_start: bool
+    why_not: str | None = None
+    latch: Latch | None = None
+    run: Run | None = None
+    measured: Measured | None = Field(
+        default=None, description="Newest sample; `sample_age_s` counts up to this answer."
+    )
+    force_ceiling_n: float | None = None
+    recipes: tuple[str, ...] = ()
+    driver: str | None = None
+    mode: str | None = None
+    degradations: tuple[str, ...] = ()
+    counters: Counters | None = None
+    service_epoch: str | None = None
+
+    @classmethod
+    def now(cls, cell: str, client: CellClient, note: str | None = None) -> Self:
+        """Build from the last heartbeat.
+
+        Args:
+            cell: the cell's id, for when nothing was ever heard.
+            client: has the heartbeat and its age.
+            note: why the control process is silent, where that is known.
+        """
+        status = client.last_status
+        age_s = client.heartbeat_age_s
+        if status is None or not client.is_alive:
+            heard = "was never heard" if status is None else f"was last heard {age_s:.1f} s ago"
+            return cls(
+                cell=cell,
+                state=CellState.UNKNOWN,
+                heartbeat_age_s=None if status is None else age_s,
+                last_known_state=None if status is None else status.state,
+                can_start=False,
+                why_not=f"The control process {heard}." + (f" {note}" if note else ""),
+                recipes=() if status is None else status.recipes,
+                service_epoch=None if status is None else status.service_epoch,
+            )
+        measured = status.measured
+        if measured is not None:
+            measured = measured.model_copy(update={"sample_age_s": measured.sample_age_s + age_s})
+        return cls(
+            cell=status.cell,
+            state=status.state,
+            heartbeat_age_s=age_s,
+            last_known_state=status.state,
+            can_start=status.can_start,
+            why_not=status.why_not,
+            latch=status.latch,
+            run=status.run,
+            measured=measured,
+            force_ceiling_n=status.force_ceiling_n,
+            recipes=status.recipes,
+            driver=status.driver,
+            mode=status.mode,
+            degradations=status.degradations,
+            counters=status.counters,
+            service_epoch=status.service_epoch,
+        )
+
+
+class StopAnswer(BaseModel):
+    """What is known of the stop when the answer leaves."""
+
+    confirmed: bool = Field(description="The arm was measured standing after the stop command.")
+    state: CellState
+    measured: Measured | None
+    detail: str
+
+
+class RunPage(BaseModel):
+    """Runs, newest first."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"runs": [_RUN_EXAMPLE], "next": None}]})
+
+    runs: list[Run]
+    next: str | None = Field(description="Path of the page with older runs; null on the last one.")
+
+
+class Health(BaseModel):
+    """Whether this server lives, and whether it could serve an operator."""
+
+    alive: bool = True
+    ready: bool = Field(description="Every check below passes.")
+    checks: dict[str, str] = Field(description='"ok", or what is wrong.')
+
+
+class Frame(Telemetry):
+    """One point of the live plot, about 25 a second.
+
+    `force_peak_n` is the largest |F| of all points since the last frame, so that thinning out hides no peak.
+    """
+
+    force_peak_n: float

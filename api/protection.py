@@ -1,0 +1,172 @@
+"""What every request passes before the application sees it: local address, Host, Origin, body length, headers.
+
+A browser on the operator's machine can be made to send requests here by any page that it shows. Three checks stop it:
+the connection came in on a loopback address, `Host` is a name of this machine (a rebound name is refused), and a
+request that changes something comes from a page of ours or from no page at all.
+"""
+
+import ipaddress
+import time
+import uuid
+from collections.abc import Collection
+from urllib.parse import urlsplit
+
+import structlog
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.problems import problem_response
+
+LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+BODY_LIMIT_BYTES = 16 * 1024
+STOP_PATH = "/stop"
+
+SECURITY_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+_log = structlog.get_logger("api.request")
+
+
+class Protection:
+    """ASGI middleware; the outermost one.
+
+    Args:
+        app: what it protects.
+        hosts: names, beside the loopback ones, that a `Host` header may hold.
+        allow_remote: accept connections that came in on another address than loopback.
+    """
+
+    def __init__(self, app: ASGIApp, hosts: Collection[str] = (), allow_remote: bool = False) -> None:
+        self._app = app
+        self._hosts = LOOPBACK_NAMES | {host.lower() for host in hosts}
+        self._allow_remote = allow_remote
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        if scope["type"] != "http":  # no websocket is served; one is closed before its handshake
+            await send({"type": "websocket.close", "code": 1008, "reason": "not served"})
+            return
+        request_id = uuid.uuid4().hex[:16]
+        structlog.contextvars.clear_contextvars()
+        structlog.contextvars.bind_contextvars(request_id=request_id)
+        started = time.perf_counter()
+        answered: dict[str, int] = {}
+
+        async def send_protected(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                answered["status"] = message["status"]
+                headers = MutableHeaders(scope=message)
+                for name, value in SECURITY_HEADERS.items():
+                    headers[name] = value
+                headers["X-Request-ID"] = request_id
+                headers.setdefault("Cache-Control", "no-store")
+            await send(message)
+
+        try:
+            await self._checked(scope, receive, send_protected)
+        finally:
+            _log.info(
+                "request",
+                method=scope["method"],
+                path=scope["path"],
+                status=answered.get("status"),
+                duration_ms=round(1e3 * (time.perf_counter() - started), 2),
+            )
+
+    async def _checked(self, scope: Scope, receive: Receive, send: Send) -> None:
+        refusal = self._refusal(scope)
+        if refusal is not None:
+            status, reason, detail = refusal
+            await problem_response(Request(scope), status, detail, reason=reason)(scope, receive, send)
+            return
+        if scope["path"] == STOP_PATH:
+            # A stop has no body worth reading, and none may delay or refuse it.
+            await self._app(scope, _empty_body(receive), send)
+            return
+        await self._app(scope, _limited(receive), send)
+
+    def _refusal(self, scope: Scope) -> tuple[int, str, str] | None:
+        headers = Headers(scope=scope)
+        server = scope.get("server")
+        if not self._allow_remote and server is not None and not _is_loopback(server[0]):
+            return (
+                403,
+                "NOT_LOOPBACK",
+                (
+                    f"This cell is served on loopback only, and the request came in on {server[0]}. There is no "
+                    "authorisation yet: set allow_remote in the API's settings to accept other machines all the same."
+                ),
+            )
+        host = headers.get("host", "")
+        if _hostname(host) not in self._hosts:
+            return 421, "UNKNOWN_HOST", f"Host {host!r} is not a name of this cell; add it to allowed_hosts if it is."
+        if scope["method"] not in SAFE_METHODS:
+            origin = headers.get("origin")
+            site = headers.get("sec-fetch-site", "none")
+            if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
+                return 403, "CROSS_SITE", f"This page may not command the cell: its origin is {origin}."
+            if site not in {"none", "same-origin"}:
+                return 403, "CROSS_SITE", f"This page may not command the cell: the browser calls it {site}."
+        length = headers.get("content-length", "0")
+        if scope["path"] != STOP_PATH and length.isdigit() and int(length) > BODY_LIMIT_BYTES:
+            return 413, "BODY_TOO_LARGE", _TOO_LARGE_TEXT
+        return None
+
+
+_TOO_LARGE_TEXT = f"The body is longer than {BODY_LIMIT_BYTES} bytes."
+
+
+def _limited(receive: Receive) -> Receive:
+    total = 0
+
+    async def counted() -> Message:
+        nonlocal total
+        message = await receive()
+        total += len(message.get("body", b""))
+        if total > BODY_LIMIT_BYTES:
+            raise HTTPException(413, _TOO_LARGE_TEXT)
+        return message
+
+    return counted
+
+
+def _empty_body(receive: Receive) -> Receive:
+    first = True
+
+    async def empty() -> Message:
+        nonlocal first
+        if first:
+            first = False
+            return {"type": "http.request", "body": b"", "more_body": False}
+        return await receive()
+
+    return empty
+
+
+def _hostname(host: str) -> str:
+    try:
+        return (urlsplit(f"//{host}").hostname or "").lower()
+    except ValueError:
+        return ""
+
+
+def _is_loopback(address: str) -> bool:
+    try:
+        parsed = ipaddress.ip_address(address)
+    except ValueError:
+        return False
+    mapped = getattr(parsed, "ipv4_mapped", None)
+    return (mapped or parsed).is_loopback

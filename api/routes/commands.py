@@ -1,0 +1,181 @@
+"""Start, stop and reset."""
+
+import asyncio
+from typing import Annotated
+
+import structlog
+from fastapi import APIRouter, Header, Request, Response
+
+from api.history import HistoryError
+from api.models import ResetBody, StartBody, StopAnswer
+from api.problems import SILENT_TEXT, ProblemError, described
+from api.runtime import RuntimeDependency, runtime_of
+from service.client import CellClient, CellSilentError
+from service.messages import CellState, ResetRequest, Run, StartRequest, Status, StopRequest
+
+router = APIRouter(tags=["commands"])
+_log = structlog.get_logger("api.commands")
+
+DELIVERY_S = 1.0
+"""How long a stop is sent again to a control process that does not answer."""
+CONFIRMATION_S = 1.0
+"""How long a stop waits for the arm to be measured standing before it answers 202."""
+STANDING_SAMPLE_AGE_S = 0.2
+POLL_S = 0.02
+
+
+@router.post(
+    "/start",
+    operation_id="start",
+    summary="Ask for one insertion",
+    status_code=202,
+    response_model=Run,
+    responses={202: {"description": "Accepted; follow it at `Location`."}, **described(403, 409, 413, 422, 503)},
+)
+async def start(
+    body: StartBody,
+    response: Response,
+    runtime: RuntimeDependency,
+    idempotency_key: Annotated[
+        str | None,
+        Header(
+            min_length=1,
+            max_length=128,
+            pattern=r"^[\x21-\x7e]+$",
+            description="The same key again answers with the same run and starts nothing. Send one, so that a start "
+            "whose answer got lost can be repeated safely.",
+            examples=["5e0f6a2e-8a3b-4a60-9c5f-0c6f3c1f1b1a"],
+        ),
+    ] = None,
+) -> Run:
+    """Answer 202 with the run once the cell has accepted it; 409 with the fault's code where its state forbids a start.
+
+    The run goes on by itself: follow it by `GET /runs/{id}`, `GET /status` or `GET /events`.
+    """
+    if runtime.cell.is_silent:
+        raise ProblemError(503, "CELL_SILENT", runtime.status().why_not or SILENT_TEXT, state=CellState.UNKNOWN)
+    try:
+        await runtime.cell.history.check()
+    except HistoryError as error:
+        raise ProblemError(503, "STORAGE", str(error)) from error
+    request = StartRequest(recipe=body.recipe, seed=body.seed, idempotency_key=idempotency_key, requested_by="api")
+    try:
+        result = await runtime.cell.client.start(request)
+    except CellSilentError as error:
+        raise ProblemError(
+            503,
+            "CELL_SILENT",
+            "The control process did not answer in time, so whether it accepted the start is not known: look at "
+            "GET /status, or send the same request again with the same Idempotency-Key.",
+            state=CellState.UNKNOWN,
+        ) from error
+    run = result.run
+    if not result.created and (run.recipe != body.recipe or body.seed not in {None, run.seed}):
+        raise ProblemError(
+            422,
+            "IDEMPOTENCY_KEY_REUSED",
+            f"This Idempotency-Key belongs to run {run.id} of another request; use a new key for a new run.",
+            field="header.Idempotency-Key",
+        )
+    runtime.cell.history.put(run)
+    response.headers["Location"] = f"/runs/{run.id}"
+    if not result.created:
+        response.headers["Idempotency-Replayed"] = "true"
+    return run
+
+
+@router.post(
+    "/stop",
+    operation_id="stop",
+    summary="Stop whatever moves",
+    response_model=StopAnswer,
+    responses={
+        200: {"description": "The arm was measured standing after the stop command."},
+        202: {"model": StopAnswer, "description": "The control process has the stop; standing is not measured yet."},
+        **described(403, 503),
+    },
+)
+async def stop(request: Request, response: Response) -> StopAnswer:
+    """Stop now. Accepted in every state, without a body, any number of times.
+
+    Goes to the control process on a session of its own, past the history and every other request. This is process
+    protection: it is not the robot's emergency stop and replaces no certified safety function.
+    """
+    runtime = runtime_of(request)
+    stopper = runtime.cell.stopper
+    try:
+        status = await _deliver(stopper, StopRequest(reason="stop over HTTP", requested_by="api"))
+    except CellSilentError as error:
+        _log.error("stop not delivered")
+        raise ProblemError(503, "STOP_NOT_DELIVERED", SILENT_TEXT, state=CellState.UNKNOWN) from error
+    status = await _standing(stopper, status)
+    confirmed = _is_standing(status)
+    _log.warning("stop", confirmed=confirmed, state=status.state.value)
+    if not confirmed:
+        response.status_code = 202
+    return StopAnswer(
+        confirmed=confirmed,
+        state=status.state if stopper.is_alive else CellState.UNKNOWN,
+        measured=status.measured,
+        detail="measured standing"
+        if confirmed
+        else "the control process has the stop, but the arm is not measured standing yet: watch GET /status",
+    )
+
+
+@router.post(
+    "/reset",
+    operation_id="reset",
+    summary="Acknowledge a latched stop",
+    responses=described(403, 409, 413, 422, 503),
+)
+async def reset(body: ResetBody, runtime: RuntimeDependency) -> StopAnswer:
+    """Acknowledge the latched fault after looking at the cell. Moves nothing and resumes no run.
+
+    409 where nothing is latched, another fault is in force than the one acknowledged, or force is above the limit.
+    """
+    if runtime.cell.is_silent:
+        raise ProblemError(503, "CELL_SILENT", SILENT_TEXT, state=CellState.UNKNOWN)
+    status = await runtime.cell.client.reset(ResetRequest(acknowledge=body.acknowledge, requested_by=body.operator))
+    _log.warning("reset", operator=body.operator, comment=body.comment, acknowledge=body.acknowledge)
+    return StopAnswer(
+        confirmed=_is_standing(status),
+        state=status.state,
+        measured=status.measured,
+        detail="acknowledged; nothing moves",
+    )
+
+
+async def _deliver(stopper: CellClient, request: StopRequest) -> Status:
+    # A cell whose session is just connecting answers nothing at once, so a refusal to answer is worth asking again.
+    loop = asyncio.get_running_loop()
+    deadline = loop.time() + DELIVERY_S
+    while True:
+        try:
+            return await stopper.stop(request, timeout_s=max(0.1, deadline - loop.time()))
+        except CellSilentError:
+            if loop.time() >= deadline:
+                raise
+            await asyncio.sleep(POLL_S)
+
+
+async def _standing(stopper: CellClient, status: Status) -> Status:
+    """Return the first status from `status` on that shows the arm standing, or the newest when time is up."""
+    loop = asyncio.get_running_loop()
+    deadline = loop.time() + CONFIRMATION_S
+    while not _is_standing(status) and loop.time() < deadline:
+        await asyncio.sleep(POLL_S)
+        newest = stopper.last_status
+        if newest is not None and (newest.service_epoch != status.service_epoch or newest.seq > status.seq):
+            status = newest
+    return status
+
+
+def _is_standing(status: Status) -> bool:
+    measured = status.measured
+    return (
+        status.state in {CellState.READY, CellState.LATCHED}
+        and measured is not None
+        and not measured.moving
+        and measured.sample_age_s <= STANDING_SAMPLE_AGE_S
+    )

@@ -1,0 +1,33 @@
+"""The operator's page: rendered here, kept live by its script; nothing is fetched from elsewhere."""
+
+from html import escape
+from pathlib import Path
+from string import Template
+
+from fastapi import APIRouter
+from fastapi.responses import HTMLResponse
+
+from api.runtime import RuntimeDependency
+from service.messages import CellState
+
+router = APIRouter(include_in_schema=False)
+
+FOLDER = Path(__file__).parents[1] / "page"
+_TEMPLATE = Template((FOLDER / "index.html").read_text(encoding="utf-8"))
+
+
+@router.get("/", response_class=HTMLResponse)
+async def page(runtime: RuntimeDependency) -> HTMLResponse:
+    config = runtime.config
+    # The state comes with the first event: a page that was rendered a moment ago knows nothing of now.
+    return HTMLResponse(
+        _TEMPLATE.substitute(
+            cell=escape(config.cell.id),
+            state=CellState.UNKNOWN.value,
+            mark="?",
+            reason="Connecting. What the robot does is not known here yet.",
+            driver=escape(config.cell.driver),
+            ceiling=f"{config.limits.force_ceiling_n:.0f}",
+            recipes="".join(f"<option>{escape(name)}</option>" for name in config.recipes),
+        )
+    )

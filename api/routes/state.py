@@ -1,0 +1,55 @@
+"""Status and health."""
+
+from fastapi import APIRouter
+
+from api.history import HistoryError
+from api.models import CellStatus, Health
+from api.problems import ProblemError, described
+from api.runtime import Runtime, RuntimeDependency
+from service.messages import CellState
+
+router = APIRouter(tags=["state"])
+
+FRESH_SAMPLE_S = 0.5
+
+
+@router.get("/status", operation_id="status", summary="What is measured now", responses=described(403))
+async def status(runtime: RuntimeDependency) -> CellStatus:
+    """Answer with the control process's last heartbeat, or UNKNOWN with its age where that is not fresh.
+
+    Never with what was merely commanded.
+    """
+    return runtime.status()
+
+
+@router.get("/health", operation_id="health", summary="Liveness, and what readiness lacks")
+async def health(runtime: RuntimeDependency) -> Health:
+    """Answer 200 while this server lives; `ready` and `checks` say whether it could serve an operator."""
+    return await _health(runtime)
+
+
+@router.get("/health/ready", operation_id="ready", summary="Readiness", responses=described(503))
+async def ready(runtime: RuntimeDependency) -> Health:
+    """Answer 200 when every check passes, else 503 naming those that do not."""
+    found = await _health(runtime)
+    if not found.ready:
+        failed = "; ".join(f"{name}: {text}" for name, text in found.checks.items() if text != "ok")
+        raise ProblemError(503, "NOT_READY", failed)
+    return found
+
+
+async def _health(runtime: Runtime) -> Health:
+    status = runtime.status()
+    checks = {"control_process": "ok", "arm": "ok", "history": "ok"}
+    if status.state is CellState.UNKNOWN:
+        checks["control_process"] = status.why_not or "silent"
+        checks["arm"] = "not known"
+    elif status.measured is None:
+        checks["arm"] = "no sample yet"
+    elif status.mode == "real_time" and status.measured.sample_age_s > FRESH_SAMPLE_S:
+        checks["arm"] = f"no sample for {status.measured.sample_age_s:.1f} s"
+    try:
+        await runtime.cell.history.check()
+    except HistoryError as error:
+        checks["history"] = str(error)
+    return Health(ready=all(text == "ok" for text in checks.values()), checks=checks)
