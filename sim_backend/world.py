@@ -128,6 +128,7 @@ class World:
             self._jitter[cell] = episode.estimate_noise
             self.sensor.reset(int(cell), episode)
             self.ticks[cell] = 0
+        self.estimate[cells] = self.camera(cells)
         k = len(cells)
         self.place(cells, np.tile(START_POSITION_M, (k, 1)), np.full(k, START_YAW_RAD))
 
@@ -170,8 +171,16 @@ class World:
         self.ticks += 1
         self._measure()
         self.sensor.read(-self._load, self.rotation)
-        frame = (self.ticks // ESTIMATE_TICKS) % 64
-        self.estimate = self._offset + self._jitter[self._all, frame]
+        self.estimate = self.camera(self._all)
+
+    def camera(self, cells: Cells) -> Array:
+        """(k, 3) the camera's present estimate of the hole's mouth, as `estimate` will hold it from the next tick on."""
+        frame = (self.ticks[cells] // ESTIMATE_TICKS) % 64
+        return self._offset[cells] + self._jitter[cells, frame]
+
+    def hover(self, cells: Cells) -> Array:
+        """(k,) height above the estimate, m, at which the episode's scripted approach ends."""
+        return np.array([self._episodes[cell].hover_m for cell in cells])
 
     def data(self, cell: int = 0) -> mujoco.MjData:
         """One cell as MuJoCo data, for rendering and inspection."""
@@ -203,6 +212,16 @@ class World:
     def hole_yaw(self) -> Array:
         """(n,) true yaw of the hole, rad."""
         return 2.0 * np.arctan2(self._block_quat[:, 3], self._block_quat[:, 0])
+
+    @property
+    def friction(self) -> Array:
+        """(n,) sliding friction of peg on block."""
+        return self._friction[:, self._scene.peg_geom, 0]
+
+    @property
+    def symmetry_order(self) -> int:
+        """Turns by 2π over this leave the peg unchanged; 0 for a round one."""
+        return self._scene.part.symmetry_order
 
     @property
     def hole_position(self) -> Array:
