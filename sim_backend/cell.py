@@ -19,6 +19,18 @@ Record = npt.NDArray[Any]
 ROBOT_MODE_RUNNING = 7
 SAFETY_MODE_NORMAL, SAFETY_MODE_PROTECTIVE_STOP = 1, 3
 
+_ENGAGE_RANGES = {
+    "stiffness": (0.0, 1e6),
+    "damping": (1e-6, 1e6),
+    "inertia": (1e-6, 1e6),
+    "max_speed": (0.0, 10.0),
+    "max_step": (0.0, 10.0),
+    "workspace": (-10.0, 10.0),
+    "force_ceiling": (1e-6, 1e4),
+    "target_age": (TICK_S, 60.0),
+}
+"""What the control program can compute with, in the units of the wire: far wider than sane. Else ENGAGE is ignored."""
+
 _ONLY = np.array([0])
 
 
@@ -79,9 +91,10 @@ class SimulatedCell:
             seq = int(command["seq"])
             if client != self._client or seq <= self._command_seq:
                 return
-            turn = quaternion.from_rotvec(np.asarray(command["rotvec"], float)[None])
-            if arm.set_target(_ONLY, np.asarray(command["position"], float)[None], turn)[0]:
-                self._command_seq = seq
+            with np.errstate(over="ignore", invalid="ignore"):  # the arm refuses what is not finite
+                turn = quaternion.from_rotvec(np.asarray(command["rotvec"], float)[None])
+                if arm.set_target(_ONLY, np.asarray(command["position"], float)[None], turn)[0]:
+                    self._command_seq = seq
         elif kind == Kind.ZERO_FT and arm.program[0] == Program.IDLE:
             self._world.zero_ft(_ONLY)
         elif kind == Kind.UNLOCK:
@@ -130,15 +143,11 @@ class SimulatedCell:
         }
 
     def _engage(self, command: Record, client: int) -> None:
-        numbers = [command[name] for name in ("stiffness", "damping", "inertia", "max_speed", "max_step", "workspace")]
+        for name, (low, high) in _ENGAGE_RANGES.items():
+            if not ((command[name] >= low) & (command[name] <= high)).all():  # NaN is in no range
+                return
+        stiffness, damping, inertia = (np.asarray(command[name], float) for name in ("stiffness", "damping", "inertia"))
         scalars = float(command["force_ceiling"]), float(command["target_age"])
-        if not all(np.isfinite(n).all() and n.size for n in numbers) or not all(
-            np.isfinite(s) and s > 0 for s in scalars
-        ):
-            return
-        stiffness, damping, inertia = (np.asarray(n, float) for n in numbers[:3])
-        if (stiffness < 0).any() or (damping <= 0).any() or (inertia <= 0).any():
-            return
         arm = self._world.arm
         if arm.program[0] == Program.ENGAGED and client != self._client:
             arm.stop(_ONLY, StopReason.LEASE)
