@@ -1,0 +1,211 @@
+"""Loads a policy from its ONNX file and runs it."""
+
+import hashlib
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import onnxruntime
+
+from service.policy import onnx_file
+from service.policy.contract import METADATA_KEY, ContractError, PolicyContract
+
+Float32Array = npt.NDArray[np.float32]
+SIZE_LIMIT_BYTES = 16 * 2**20
+OPSETS = range(11, 24)
+"""Versions of the standard operator set that are admitted."""
+
+
+class PolicyFault(StrEnum):
+    """Why a policy file is refused, or an inference is."""
+
+    UNREADABLE = "UNREADABLE"
+    TOO_LARGE = "TOO_LARGE"
+    HASH = "HASH"
+    CORRUPT = "CORRUPT"
+    EXTERNAL_DATA = "EXTERNAL_DATA"
+    OPSET = "OPSET"
+    CONTRACT_MISSING = "CONTRACT_MISSING"
+    CONTRACT_INVALID = "CONTRACT_INVALID"
+    SIGNATURE = "SIGNATURE"
+    INVALID_OBSERVATION = "INVALID_OBSERVATION"
+    INVALID_OUTPUT = "INVALID_OUTPUT"
+
+
+class PolicyError(Exception):
+    """A policy cannot be used; `reason` is stable, the text says what is wrong and where."""
+
+    def __init__(self, reason: PolicyFault, text: str) -> None:
+        super().__init__(f"{reason}: {text}")
+        self.reason = reason
+        self.text = text
+
+
+class Policy:
+    """A loaded policy: the bytes that were hashed are the ones that run, whatever becomes of the file."""
+
+    def __init__(self, data: bytes, *, source: str = "<bytes>", expected_sha256: str | None = None) -> None:
+        """Load from bytes.
+
+        Args:
+            data: the whole ONNX file.
+            source: where they come from, for messages.
+            expected_sha256: hex digest that they must have; None: any.
+
+        Raises:
+            PolicyError: with the first thing found wrong.
+        """
+        self.source = source
+        if len(data) > SIZE_LIMIT_BYTES:
+            raise PolicyError(PolicyFault.TOO_LARGE, f"{source} is larger than {SIZE_LIMIT_BYTES} bytes")
+        self.sha256 = hashlib.sha256(data).hexdigest()
+        if expected_sha256 is not None and expected_sha256 != self.sha256:
+            raise PolicyError(
+                PolicyFault.HASH, f"{source} has SHA-256 {self.sha256}, admitted is {expected_sha256}: admit it anew"
+            )
+        self.contract = _read_contract(data, source)
+        self._session = _session(data, source)
+        self._recurrent = self.contract.hidden_size > 0
+        self._outputs = ["action", "next_hidden"] if self._recurrent else ["action"]
+        self._check_signature()
+        self._probe()
+
+    @classmethod
+    def load(cls, path: Path, *, expected_sha256: str | None = None) -> Self:
+        """Load from a file, which is read once.
+
+        Raises:
+            PolicyError: with the first thing found wrong.
+        """
+        try:
+            with path.open("rb") as file:
+                data = file.read(SIZE_LIMIT_BYTES + 1)
+        except OSError as error:
+            raise PolicyError(PolicyFault.UNREADABLE, f"cannot read {path}: {error.strerror}") from error
+        return cls(data, source=str(path), expected_sha256=expected_sha256)
+
+    def initial_hidden(self, shape: tuple[int, ...] = ()) -> Float32Array | None:
+        """Recurrent state before the first step, (*shape, hidden_size) zeros; None for a policy without one."""
+        return np.zeros((*shape, self.contract.hidden_size), np.float32) if self._recurrent else None
+
+    def act(
+        self, observation: Float32Array, hidden: Float32Array | None = None
+    ) -> tuple[Float32Array, Float32Array | None]:
+        """One inference.
+
+        Args:
+            observation: (..., n) raw physical units, as the contract's builder makes it.
+            hidden: (..., hidden_size) from `initial_hidden` or the last call; None for a policy without one.
+
+        Returns:
+            (..., a) action, in -1 … 1 if the graph ends so, and the next recurrent state.
+
+        Raises:
+            PolicyError: INVALID_OBSERVATION for one that is not finite or has another shape; INVALID_OUTPUT for a
+                result that is not finite. ONNX Runtime passes NaN through silently.
+        """
+        size = self.contract.observation_size
+        if observation.shape[-1:] != (size,) or not np.isfinite(observation).all():
+            raise PolicyError(
+                PolicyFault.INVALID_OBSERVATION,
+                f"want (..., {size}) finite numbers, got shape {observation.shape}: {self._name_bad(observation)}",
+            )
+        batch = observation.shape[:-1]
+        feed = {"observation": np.ascontiguousarray(observation, np.float32).reshape(-1, size)}
+        if self._recurrent:
+            if hidden is None or hidden.shape != (*batch, self.contract.hidden_size) or not np.isfinite(hidden).all():
+                raise PolicyError(
+                    PolicyFault.INVALID_OBSERVATION, f"want a finite hidden state {(*batch, self.contract.hidden_size)}"
+                )
+            feed["hidden"] = np.ascontiguousarray(hidden, np.float32).reshape(-1, self.contract.hidden_size)
+        results: list[Float32Array] = self._session.run(self._outputs, feed)
+        if not all(np.isfinite(result).all() for result in results):
+            raise PolicyError(PolicyFault.INVALID_OUTPUT, f"{self.source}: the action or hidden state is not finite")
+        action, *rest = (result.reshape(*batch, result.shape[-1]) for result in results)
+        return action, rest[0] if rest else None
+
+    def _name_bad(self, observation: Float32Array) -> str:
+        """Name the entries that hold a number that is not finite."""
+        names = [entry.name for entry in self.contract.observation for _ in range(entry.size * entry.history)]
+        if observation.shape[-1:] != (len(names),):
+            return "wrong length"
+        bad = np.flatnonzero(~np.isfinite(observation.reshape(-1, len(names))).all(0))
+        return "not finite in " + ", ".join(dict.fromkeys(names[index] for index in bad.tolist()))
+
+    def _check_signature(self) -> None:
+        """Compare the graph's inputs and outputs with the contract's."""
+        contract = self.contract
+        recurrent_in = {"hidden": contract.hidden_size} if self._recurrent else {}
+        # Within one graph an input and an output cannot share a name
+        recurrent_out = {"next_hidden": contract.hidden_size} if self._recurrent else {}
+        for what, nodes, want in (
+            ("inputs", self._session.get_inputs(), {"observation": contract.observation_size, **recurrent_in}),
+            ("outputs", self._session.get_outputs(), {"action": len(contract.action), **recurrent_out}),
+        ):
+            names = sorted(node.name for node in nodes)
+            if names != sorted(want):
+                raise PolicyError(PolicyFault.SIGNATURE, f"{self.source}: {what} are {names}, want {sorted(want)}")
+            for node in nodes:
+                # A dimension is a number, or a name or None where it is open
+                batch_fixed = len(node.shape) == 2 and isinstance(node.shape[0], int) and node.shape[0] != 1
+                if node.type != "tensor(float)" or node.shape[1:] != [want[node.name]] or batch_fixed:
+                    raise PolicyError(
+                        PolicyFault.SIGNATURE,
+                        f"{self.source}: {node.name} is {node.type} {node.shape}, "
+                        f"want tensor(float) [batch, {want[node.name]}]",
+                    )
+
+    def _probe(self) -> None:
+        """Run once at rest and once at each entry's scale: what fails there would fail in motion."""
+        scales = [
+            np.broadcast_to(np.asarray(entry.scale, np.float32), (entry.history, entry.size)).ravel()
+            for entry in self.contract.observation
+        ]
+        for factor in (0.0, 1.0, -1.0):
+            try:
+                action, _ = self.act(
+                    (factor * np.concatenate(scales)).astype(np.float32)[None], self.initial_hidden((1,))
+                )
+            except PolicyError:
+                raise
+            except Exception as error:  # ONNX Runtime's errors share no public base class
+                raise PolicyError(PolicyFault.CORRUPT, f"{self.source} does not run: {error}") from error
+            if action.shape != (1, len(self.contract.action)):
+                raise PolicyError(PolicyFault.SIGNATURE, f"{self.source}: action has shape {action.shape}")
+
+
+def _read_contract(data: bytes, source: str) -> PolicyContract:
+    try:
+        head = onnx_file.inspect(data)
+    except onnx_file.MalformedError as error:
+        raise PolicyError(PolicyFault.CORRUPT, f"{source} is no ONNX model: {error}") from error
+    if head.external_data:
+        raise PolicyError(PolicyFault.EXTERNAL_DATA, f"{source} keeps weights in another file: export it as one file")
+    if set(head.opsets) != {""} or head.opsets[""] not in OPSETS:
+        raise PolicyError(
+            PolicyFault.OPSET,
+            f"{source} uses operator sets {head.opsets}, admitted is the standard one, {OPSETS[0]} to {OPSETS[-1]}",
+        )
+    text = head.metadata.get(METADATA_KEY)
+    if text is None:
+        raise PolicyError(PolicyFault.CONTRACT_MISSING, f"{source} has no metadata {METADATA_KEY!r}")
+    try:
+        return PolicyContract.from_json(text)
+    except ContractError as error:
+        raise PolicyError(PolicyFault.CONTRACT_INVALID, f"{source}: {error}") from error
+
+
+def _session(data: bytes, source: str) -> Any:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    # A spinning thread would take a core from the 500 Hz loop
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.inter_op.allow_spinning", "0")
+    try:
+        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # ONNX Runtime's errors share no public base class
+        raise PolicyError(PolicyFault.CORRUPT, f"ONNX Runtime refuses {source}: {error}") from error

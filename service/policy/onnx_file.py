@@ -1,0 +1,142 @@
+"""Reads what matters before a model file may be run: opsets, metadata, and whether it points outside itself.
+
+ONNX Runtime would open files that a model names, and says little about why it refuses one. This walks the protocol
+buffer (onnx.proto3 of the ONNX project, Apache-2.0, has the field numbers) without building the model.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+_MODEL_GRAPH, _MODEL_OPSET, _MODEL_METADATA, _MODEL_FUNCTIONS = 7, 8, 14, 25
+_DEPTH_LIMIT = 32
+# Fields that lead to a tensor, by kind of message: number -> kind of what is inside
+_PATHS: dict[str, dict[int, str]] = {
+    "graph": {1: "node", 5: "tensor", 15: "sparse"},
+    "function": {7: "node"},
+    "node": {5: "attribute"},
+    "attribute": {5: "tensor", 6: "graph", 10: "tensor", 11: "graph", 22: "sparse", 23: "sparse"},
+    "sparse": {1: "tensor", 2: "tensor"},
+    "tensor": {},
+}
+_TENSOR_EXTERNAL_DATA, _TENSOR_DATA_LOCATION = 13, 14
+_EXTERNAL = 1
+
+
+class MalformedError(ValueError):
+    """The bytes are no ONNX model."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnnxFile:
+    """What a model file says.
+
+    Attributes:
+        opsets: version by domain; the standard domain is "".
+        metadata: `metadata_props`.
+        external_data: some tensor's values are in another file.
+    """
+
+    opsets: dict[str, int]
+    metadata: dict[str, str]
+    external_data: bool
+
+
+def inspect(data: bytes) -> OnnxFile:
+    """Read a model's head.
+
+    Raises:
+        MalformedError: the bytes are not a protocol buffer of a model, or are nested absurdly deep.
+    """
+    view = memoryview(data)
+    opsets: dict[str, int] = {}
+    metadata: dict[str, str] = {}
+    external = has_graph = False
+    for number, value in _fields(view):
+        if number == _MODEL_OPSET:
+            domain, version = "", 0
+            for inner, content in _fields(_bytes(value)):
+                if inner == 1:
+                    domain = _text(content)
+                elif inner == 2:
+                    version = _integer(content)
+            opsets["" if domain == "ai.onnx" else domain] = version
+        elif number == _MODEL_METADATA:
+            entry = {inner: _text(content) for inner, content in _fields(_bytes(value)) if inner in (1, 2)}
+            metadata[entry.get(1, "")] = entry.get(2, "")
+        elif number == _MODEL_GRAPH:
+            has_graph = True
+            external |= _external(_bytes(value), "graph", 0)
+        elif number == _MODEL_FUNCTIONS:
+            external |= _external(_bytes(value), "function", 0)
+    if not has_graph:
+        raise MalformedError("there is no graph in it")
+    return OnnxFile(opsets, metadata, external)
+
+
+def _external(message: memoryview, kind: str, depth: int) -> bool:
+    if depth > _DEPTH_LIMIT:
+        raise MalformedError(f"graphs nested more than {_DEPTH_LIMIT} deep")
+    found = False
+    for number, value in _fields(message):
+        if kind == "tensor" and (
+            number == _TENSOR_EXTERNAL_DATA or (number == _TENSOR_DATA_LOCATION and value == _EXTERNAL)
+        ):
+            found = True
+        inner = _PATHS[kind].get(number)
+        if inner is not None:
+            found |= _external(_bytes(value), inner, depth + 1)
+    return found
+
+
+def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
+    """Yield number and value of each field; fixed-width values as their bytes."""
+    at, end = 0, len(message)
+    while at < end:
+        key, at = _varint(message, at)
+        number, wire_type = key >> 3, key & 7
+        if wire_type == 0:
+            value, at = _varint(message, at)
+            yield number, value
+            continue
+        if wire_type == 2:
+            length, at = _varint(message, at)
+        elif wire_type in (1, 5):
+            length = 8 if wire_type == 1 else 4
+        else:
+            raise MalformedError(f"field {number} has wire type {wire_type}")
+        if length > end - at:
+            raise MalformedError(f"field {number} wants {length} bytes, {end - at} are left")
+        yield number, message[at : at + length]
+        at += length
+
+
+def _varint(message: memoryview, at: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, 70, 7):
+        if at >= len(message):
+            raise MalformedError("it ends within a number")
+        byte = message[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+    raise MalformedError("a number is longer than 64 bits")
+
+
+def _bytes(value: int | memoryview) -> memoryview:
+    if isinstance(value, int):
+        raise MalformedError("a number stands where a message should")
+    return value
+
+
+def _integer(value: int | memoryview) -> int:
+    if not isinstance(value, int):
+        raise MalformedError("a message stands where a number should")
+    return value
+
+
+def _text(value: int | memoryview) -> str:
+    try:
+        return bytes(_bytes(value)).decode()
+    except UnicodeDecodeError as error:
+        raise MalformedError(f"a text is not UTF-8: {error}") from error
