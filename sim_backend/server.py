@@ -84,11 +84,17 @@ class Server:
             )
 
     def run(self) -> NoReturn:
-        """Serve until an exception, such as a signal handler's SystemExit, ends it."""
-        if self._mode is Mode.REAL_TIME:
-            self._run_in_real_time()
-        while True:
-            self._answer(self._queries.recv())
+        """Serve until an exception, such as a signal handler's SystemExit, ends it; nothing is served afterwards."""
+        try:
+            if self._mode is Mode.REAL_TIME:
+                self._run_in_real_time()
+            while True:
+                self._answer(self._queries.recv())
+        finally:
+            # A Zenoh thread that waits at a full channel would hold up the session's end for ten seconds.
+            self._queries.undeclare()
+            if self._mode is Mode.REAL_TIME:
+                self._commands.undeclare()
 
     def _run_in_real_time(self) -> NoReturn:
         freeze_garbage()
