@@ -60,6 +60,8 @@ class ForceTorqueSensor:
         # at rest for long before the episode begins
         self._average[cell] = episode.bias + episode.wrench_noise[-ZERO_TICKS:].mean(axis=0)
         self._history[:, cell] = np.nan  # filled by the first reading
+        self.raw[cell] = self.wrench[cell] = 0.0
+        self.saturated[cell] = False
 
     def read(self, carried: Array, rotation: Array) -> None:
         """Take one reading: sets `raw`, `wrench`, `saturated`.
