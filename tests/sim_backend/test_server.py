@@ -66,7 +66,10 @@ class Client:
         return wire.decode(self.ask("reset", json.dumps(task).encode()), wire.STATE)
 
     def send(self, *commands: np.ndarray) -> None:
-        self.session.put(f"sim/{self.world}/command", b"".join(c.tobytes() for c in commands))
+        payload = b"".join(c.tobytes() for c in commands)
+        self.session.put(
+            f"sim/{self.world}/command", payload, congestion_control=zenoh.CongestionControl.BLOCK, express=True
+        )
 
 
 class States:
