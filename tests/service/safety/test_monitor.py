@@ -1,0 +1,225 @@
+from math import hypot
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from service.faults import FaultCode
+from service.safety.monitor import Monitor, MonitorParameters
+from service.safety.verdict import Verdict
+
+LIMITS = MonitorParameters(force_ceiling_n=30.0, torque_ceiling_nm=3.0, stuck_samples=4, max_age_s=0.02, max_gap_s=0.02)
+TICK = 0.002
+
+
+class Source:
+    """Feeds a monitor a stream of samples that would pass, but for what a test changes in one."""
+
+    def __init__(self, parameters: MonitorParameters = LIMITS) -> None:
+        self.monitor = Monitor(parameters)
+        self.seq = 0
+        self.now = 100.0
+
+    def send(self, wrench: Any = None, **changes: Any) -> Verdict:
+        self.seq += 1
+        self.now += TICK
+        quiet = np.array([0.1, -0.1, 0.2, 0.0, 0.0, 0.0]) + self.seq * 1e-6
+        sample: dict[str, Any] = {
+            "epoch": 7,
+            "episode": 1,
+            "seq": self.seq,
+            "time_s": self.seq * TICK,
+            "wrench": quiet if wrench is None else np.array(wrench, np.float64),
+            "motion": np.zeros(12),
+            "saturated": False,
+            "now": self.now,
+        }
+        return self.monitor.check(**sample | changes)
+
+
+@pytest.fixture
+def source() -> Source:
+    source = Source()
+    assert all(source.send().fault is None for _ in range(10))
+    return source
+
+
+def test_one_sample_at_the_ceiling_trips_on_any_axis(source: Source) -> None:
+    for axis in range(3):
+        for sign in (1, -1):
+            wrench = np.zeros(6)
+            wrench[axis] = sign * 30.0
+            verdict = source.send(wrench)
+            assert (verdict.fault, verdict.measured, verdict.limit) == (FaultCode.FORCE_CEILING, 30.0, 30.0)
+            assert "30" in verdict.text
+
+
+def test_the_resultant_trips_where_no_axis_would(source: Source) -> None:
+    assert source.send([18, 18, 18, 0, 0, 0]).fault is FaultCode.FORCE_CEILING
+    assert source.send([17, 17, 17, 0, 0, 0]).fault is None
+
+
+def test_torque_has_a_ceiling_of_its_own(source: Source) -> None:
+    verdict = source.send([0, 0, 1, 2.2, 2.2, 0])
+    assert verdict.fault is FaultCode.FORCE_CEILING
+    assert verdict.limit == 3.0
+    assert "N·m" in verdict.text
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("channel", range(6))
+def test_a_channel_that_is_not_finite_is_invalid(source: Source, bad: float, channel: int) -> None:
+    wrench = np.ones(6)
+    wrench[channel] = bad
+    assert source.send(wrench).fault is FaultCode.SENSOR_INVALID
+
+
+def test_infinities_that_cancel_are_still_invalid(source: Source) -> None:
+    assert source.send([np.inf, -np.inf, 0, 0, 0, 0]).fault is FaultCode.SENSOR_INVALID
+
+
+@pytest.mark.parametrize("change", [{"motion": np.array([[0.0, np.nan]])}, {"time_s": np.nan}, {"time_s": np.inf}])
+def test_a_pose_or_stamp_that_is_not_finite_is_invalid(source: Source, change: dict[str, Any]) -> None:
+    assert source.send(**change).fault is FaultCode.SENSOR_INVALID
+
+
+def test_an_invalid_sample_does_not_refresh_the_age(source: Source) -> None:
+    before = source.now
+    source.send([np.nan] * 6)
+    assert source.monitor.age(source.now) == pytest.approx(source.now - before)
+
+
+def test_a_saturated_sensor_counts_as_above_the_ceiling_whatever_it_reads(source: Source) -> None:
+    verdict = source.send([1.0, 0, 0, 0, 0, 0], saturated=True)
+    assert verdict.fault is FaultCode.FORCE_CEILING
+    assert "range" in verdict.text
+
+
+@pytest.mark.parametrize("channel", range(6))
+def test_a_component_at_the_end_of_the_range_counts_as_above_the_ceiling(channel: int) -> None:
+    source = Source(MonitorParameters(30.0, 3.0, force_range_n=25.0, torque_range_nm=2.0))
+    limit = 25.0 if channel < 3 else 2.0
+    wrench = np.zeros(6)
+    wrench[channel] = -limit
+    assert source.send(wrench * 0.99).fault is None
+    assert source.send(wrench).fault is FaultCode.FORCE_CEILING
+
+
+def test_bit_identical_wrenches_with_fresh_stamps_are_a_stuck_sensor(source: Source) -> None:
+    verdicts = [source.send([1, 2, 3, 0, 0, 0]).fault for _ in range(4)]
+    assert verdicts == [None, None, None, FaultCode.SENSOR_STUCK]
+
+
+def test_a_wrench_that_changes_in_its_last_bit_is_not_stuck(source: Source) -> None:
+    value = 1.0
+    for _ in range(20):
+        value = np.nextafter(value, 2)
+        assert source.send([value, 0, 0, 0, 0, 0]).fault is None
+
+
+def test_duplicates_and_older_samples_are_ignored_and_do_not_refresh_the_age(source: Source) -> None:
+    heard = source.now
+    for old in (source.seq, source.seq - 5):
+        verdict = source.send([99, 0, 0, 0, 0, 0], seq=old)
+        assert verdict.fault is None
+        assert not verdict.accepted
+    assert source.monitor.age(source.now) == pytest.approx(source.now - heard)
+    source.seq -= 2
+    assert source.send().accepted
+
+
+def test_duplicates_do_not_count_as_a_stuck_sensor(source: Source) -> None:
+    for _ in range(20):
+        source.send([1, 2, 3, 0, 0, 0], seq=source.seq)
+    assert source.send().fault is None
+
+
+def test_silence_is_stale_at_the_age_limit(source: Source) -> None:
+    assert source.monitor.overdue(source.now + 0.0199).fault is None
+    verdict = source.monitor.overdue(source.now + 0.0201)
+    assert verdict.fault is FaultCode.STALE
+    assert verdict.limit == 0.02
+
+
+def test_a_cell_that_never_heard_a_sample_is_stale() -> None:
+    monitor = Monitor(LIMITS)
+    assert monitor.age(5.0) == float("inf")
+    assert monitor.overdue(5.0).fault is FaultCode.STALE
+
+
+def test_a_leap_of_the_stamps_is_stale_because_what_happened_is_unknown(source: Source) -> None:
+    verdict = source.send(time_s=source.seq * TICK + 0.1)
+    assert verdict.fault is FaultCode.STALE
+    assert verdict.measured == pytest.approx(0.1, abs=TICK)
+
+
+def test_force_is_judged_before_a_leap_of_the_stamps(source: Source) -> None:
+    assert source.send([31, 0, 0, 0, 0, 0], time_s=99.0).fault is FaultCode.FORCE_CEILING
+
+
+def test_a_clock_that_steps_backward_touches_neither_age_nor_verdict(source: Source) -> None:
+    assert source.send(time_s=-50.0).fault is None
+    assert source.monitor.age(source.now) == 0.0
+    assert source.send(time_s=-50.0 + TICK).fault is None
+
+
+def test_another_epoch_beside_a_living_one_is_a_second_source(source: Source) -> None:
+    assert source.send(epoch=8).fault is FaultCode.SOURCE
+
+
+def test_another_epoch_after_silence_is_a_restart_and_not_resumed(source: Source) -> None:
+    source.now += 1.0
+    assert source.send(epoch=8).fault is FaultCode.LINK
+    assert source.send(epoch=8).fault is FaultCode.LINK
+
+
+def test_a_world_laid_out_anew_while_in_use_is_a_fault(source: Source) -> None:
+    assert source.send(episode=2, seq=1).fault is FaultCode.SOURCE
+
+
+def test_reset_accepts_a_new_source_and_clears_the_peak(source: Source) -> None:
+    source.send([10, 0, 0, 0, 0, 0])
+    source.monitor.reset()
+    assert source.monitor.peak_force_n == 0.0
+    source.seq = 0
+    assert source.send(epoch=8, episode=0).fault is None
+
+
+def test_the_peak_holds_the_largest_force_of_any_sample_that_trips_or_not(source: Source) -> None:
+    source.send([3, 4, 0, 0, 0, 0])
+    source.send([40, 0, 0, 0, 0, 0])
+    source.send()
+    assert source.monitor.peak_force_n == 40.0
+    assert source.monitor.force_n < 1.0
+    source.monitor.clear_peak()
+    assert source.monitor.peak_force_n == 0.0
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=6, max_size=6))
+def test_nothing_above_a_ceiling_passes(wrench: list[float]) -> None:
+    verdict = Source().send(wrench)
+    fine = hypot(*wrench[:3]) < 30.0 and hypot(*wrench[3:]) < 3.0
+    assert (verdict.fault is None) == fine
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("force_ceiling_n", 50.1),
+        ("force_ceiling_n", -1.0),
+        ("force_ceiling_n", float("nan")),
+        ("force_ceiling_n", float("inf")),
+        ("torque_ceiling_nm", 10.5),
+        ("torque_ceiling_nm", 0.0),
+        ("force_range_n", 0.0),
+        ("stuck_samples", 1),
+        ("max_age_s", float("inf")),
+        ("max_gap_s", 0.0),
+    ],
+)
+def test_limits_that_guard_nothing_are_refused_by_name(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=field):
+        MonitorParameters(**{"force_ceiling_n": 30.0, "torque_ceiling_nm": 3.0, field: value})  # pyright: ignore

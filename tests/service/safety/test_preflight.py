@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from service.faults import FaultCode
+from service.safety.preflight import PreflightParameters, check_start_pose, check_wrench
+
+LIMITS = PreflightParameters()
+SIGMA = np.array([0.7, 0.7, 0.7, 0.05, 0.05, 0.05])
+
+
+def free_air(samples: int = 100) -> np.ndarray:
+    return np.random.default_rng(1).normal(size=(samples, 6)) * SIGMA
+
+
+def test_a_sensor_with_the_standard_noise_in_free_air_passes() -> None:
+    assert check_wrench(LIMITS, free_air()).fault is None
+
+
+def test_too_few_samples_prove_nothing() -> None:
+    assert check_wrench(LIMITS, free_air(49)).fault is FaultCode.STALE
+
+
+def test_a_sample_that_is_not_finite_is_invalid() -> None:
+    window = free_air()
+    window[50, 4] = np.nan
+    assert check_wrench(LIMITS, window).fault is FaultCode.SENSOR_INVALID
+
+
+def test_a_sensor_without_any_noise_is_stuck() -> None:
+    assert check_wrench(LIMITS, np.full((100, 6), 0.1)).fault is FaultCode.SENSOR_STUCK
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_contact_at_the_start_is_told_apart_from_bias(axis: int) -> None:
+    push = np.zeros(6)
+    push[axis] = -4.0
+    verdict = check_wrench(LIMITS, free_air() + push)
+    assert verdict.fault is FaultCode.CONTACT_AT_START
+    assert verdict.measured == pytest.approx(4.0, abs=0.3)
+    push[axis] = 2.0
+    verdict = check_wrench(LIMITS, free_air() + push)
+    assert verdict.fault is FaultCode.BIAS
+    assert "mean force" in verdict.text
+
+
+def test_bias_of_torque_and_noise_of_either_are_refused_with_the_number() -> None:
+    assert "mean torque" in check_wrench(LIMITS, free_air() + np.array([0, 0, 0, 0.2, 0, 0])).text
+    assert "force noise" in check_wrench(LIMITS, free_air() * [4, 1, 1, 1, 1, 1]).text
+    verdict = check_wrench(LIMITS, free_air() * [1, 1, 1, 1, 1, 5])
+    assert "torque noise" in verdict.text
+    assert verdict.fault is FaultCode.BIAS
+    assert verdict.measured > verdict.limit
+
+
+POSE = (np.array([0.3, 0.0, 0.2]), 3.1, np.zeros(2))
+
+
+def test_an_arm_at_the_start_pose_may_start() -> None:
+    assert check_start_pose(LIMITS, *POSE, POSE[0] + 2e-3, -3.15).fault is None
+
+
+@pytest.mark.parametrize(
+    ("position", "yaw", "tilt", "name"),
+    [
+        ([0.306, 0, 0.2], 3.1, [0, 0], "position"),
+        ([0.3, 0, 0.2], 3.0, [0, 0], "yaw"),
+        ([0.3, 0, 0.2], 3.1, [0.02, 0.02], "tilt"),
+    ],
+)
+def test_an_arm_elsewhere_may_not_start(position: list[float], yaw: float, tilt: list[float], name: str) -> None:
+    verdict = check_start_pose(LIMITS, np.array(position), yaw, np.array(tilt), POSE[0], 3.1)
+    assert verdict.fault is FaultCode.BOUNDS
+    assert verdict.text.startswith(name)
+
+
+def test_a_pose_that_is_not_finite_may_not_start() -> None:
+    nowhere = np.array([np.nan, 0, 0])
+    assert check_start_pose(LIMITS, nowhere, 0.0, np.zeros(2), POSE[0], 0.0).fault is FaultCode.SENSOR_INVALID
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("noise_force_n", 0.0), ("yaw_rad", float("inf")), ("window_samples", 1), ("bias_force_n", 3.0)],
+)
+def test_limits_that_check_nothing_are_refused_by_name(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=field):
+        PreflightParameters(**{field: value})  # pyright: ignore
