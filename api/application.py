@@ -12,16 +12,19 @@ from typing import Any
 import structlog
 from fastapi import FastAPI
 from fastapi.staticfiles import StaticFiles
+from pydantic.json_schema import models_json_schema
 
 from api import problems
 from api.cell import Cell
 from api.history import RunHistory
+from api.models import Frame
 from api.processes import JOIN_S, CellProcesses
 from api.protection import Protection
 from api.routes import commands, page, runs, state, streams
 from api.runtime import Runtime
 from service.client import CellClient
 from service.config import CellConfig
+from service.messages import Event
 
 VERSION = "1.0.0"
 DESCRIPTION = """\
@@ -55,10 +58,32 @@ def build_routes(lifespan: Callable[[FastAPI], Any] | None = None) -> FastAPI:
         lifespan=lifespan,
     )
     problems.install(app)
+    _complete_openapi(app)
     for module in (commands, state, runs, streams, page):
-        app.include_router(module.router)
+        app.include_router(module.router, responses=problems.described(403, 421))
     app.mount("/page", StaticFiles(directory=page.FOLDER), name="page")
     return app
+
+
+def _complete_openapi(app: FastAPI) -> None:
+    """Add the schemas that FastAPI cannot see: of errors, and of what the streams carry."""
+    bare = app.openapi
+
+    def complete() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            schemas = bare()["components"]["schemas"]
+            for name in ("HTTPValidationError", "ValidationError"):
+                schemas.pop(name, None)
+            _, extra = models_json_schema(
+                [(model, "serialization") for model in (problems.ProblemDetails, Event, Frame)],
+                ref_template="#/components/schemas/{model}",
+            )
+            for name, schema in extra["$defs"].items():
+                schemas.setdefault(name, schema)
+        assert app.openapi_schema is not None  # noqa: S101 - FastAPI keeps what `bare` returned
+        return app.openapi_schema
+
+    app.openapi = complete
 
 
 def create_app(config: CellConfig, path: Path) -> Protection:

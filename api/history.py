@@ -64,6 +64,9 @@ class RunHistory:
         self._sessions = async_sessionmaker(self._engine, expire_on_commit=False)
         self._pending: dict[str, Run] = {}
         self._wake = asyncio.Event()
+        # SQLite has one writer; two of ours must not refuse each other.
+        self._writing = asyncio.Lock()
+        self._probing: asyncio.Task[None] | None = None
         self._opened = False
         self.problem: str | None = None
 
@@ -91,6 +94,8 @@ class RunHistory:
             self._opened, self.problem = True, None
 
     async def close(self) -> None:
+        if self._probing is not None:
+            await self._probing
         await self._engine.dispose()
 
     async def check(self) -> None:
@@ -99,19 +104,25 @@ class RunHistory:
         Raises:
             HistoryError: it could not.
         """
-        if not self._opened:
-            await self.open()
-        if self._opened:
-            try:
-                async with self._engine.connect() as connection:
-                    await connection.exec_driver_sql("BEGIN IMMEDIATE")
-                    await connection.rollback()
-            except SQLAlchemyError as error:
-                self._note_failure(error)
-            else:
-                self.problem = None
+        if self._probing is None or self._probing.done():
+            self._probing = asyncio.create_task(self._probe())
+        await asyncio.shield(self._probing)
         if self.problem is not None:
             raise HistoryError(self.problem)
+
+    async def _probe(self) -> None:
+        if not self._opened:
+            await self.open()
+        if not self._opened:
+            return
+        try:
+            async with self._writing, self._engine.connect() as connection:
+                await connection.exec_driver_sql("BEGIN IMMEDIATE")
+                await connection.rollback()
+        except SQLAlchemyError as error:
+            self._note_failure(error)
+        else:
+            self.problem = None
 
     def put(self, run: Run) -> None:
         """Have `write_forever` record a run, new or changed; returns at once."""
@@ -151,7 +162,7 @@ class RunHistory:
             HistoryError: the database does not take it.
         """
         try:
-            async with self._sessions.begin() as session:
+            async with self._writing, self._sessions.begin() as session:
                 for run in runs:
                     row = await session.get(RunRow, run.id)
                     if row is None:

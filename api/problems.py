@@ -200,6 +200,9 @@ _EXAMPLES: dict[int, dict[str, Any]] = {
         state=CellState.LATCHED,
     ),
     413: _example(413, "The body is longer than 16384 bytes.", "BODY_TOO_LARGE"),
+    421: _example(
+        421, "Host 'elsewhere.example' is not a name of this cell; add it to allowed_hosts if it is.", "UNKNOWN_HOST"
+    ),
     422: _example(
         422,
         "recipe 'cube' is not in this cell's configuration",

@@ -30,7 +30,7 @@ POLL_S = 0.02
     summary="Ask for one insertion",
     status_code=202,
     response_model=Run,
-    responses={202: {"description": "Accepted; follow it at `Location`."}, **described(403, 409, 413, 422, 503)},
+    responses={202: {"description": "Accepted; follow it at `Location`."}, **described(409, 413, 422, 503)},
 )
 async def start(
     body: StartBody,
@@ -60,7 +60,7 @@ async def start(
         raise ProblemError(503, "STORAGE", str(error)) from error
     request = StartRequest(recipe=body.recipe, seed=body.seed, idempotency_key=idempotency_key, requested_by="api")
     try:
-        result = await runtime.cell.client.start(request)
+        result = await runtime.unless_closing(runtime.cell.client.start(request))
     except CellSilentError as error:
         raise ProblemError(
             503,
@@ -92,7 +92,7 @@ async def start(
     responses={
         200: {"description": "The arm was measured standing after the stop command."},
         202: {"model": StopAnswer, "description": "The control process has the stop; standing is not measured yet."},
-        **described(403, 503),
+        **described(503),
     },
 )
 async def stop(request: Request, response: Response) -> StopAnswer:
@@ -127,7 +127,7 @@ async def stop(request: Request, response: Response) -> StopAnswer:
     "/reset",
     operation_id="reset",
     summary="Acknowledge a latched stop",
-    responses=described(403, 409, 413, 422, 503),
+    responses=described(409, 413, 422, 503),
 )
 async def reset(body: ResetBody, runtime: RuntimeDependency) -> StopAnswer:
     """Acknowledge the latched fault after looking at the cell. Moves nothing and resumes no run.
@@ -136,7 +136,8 @@ async def reset(body: ResetBody, runtime: RuntimeDependency) -> StopAnswer:
     """
     if runtime.cell.is_silent:
         raise ProblemError(503, "CELL_SILENT", SILENT_TEXT, state=CellState.UNKNOWN)
-    status = await runtime.cell.client.reset(ResetRequest(acknowledge=body.acknowledge, requested_by=body.operator))
+    request = ResetRequest(acknowledge=body.acknowledge, requested_by=body.operator)
+    status = await runtime.unless_closing(runtime.cell.client.reset(request))
     _log.warning("reset", operator=body.operator, comment=body.comment, acknowledge=body.acknowledge)
     return StopAnswer(
         confirmed=_is_standing(status),

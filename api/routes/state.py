@@ -13,7 +13,7 @@ router = APIRouter(tags=["state"])
 FRESH_SAMPLE_S = 0.5
 
 
-@router.get("/status", operation_id="status", summary="What is measured now", responses=described(403))
+@router.get("/status", operation_id="status", summary="What is measured now")
 async def status(runtime: RuntimeDependency) -> CellStatus:
     """Answer with the control process's last heartbeat, or UNKNOWN with its age where that is not fresh.
 

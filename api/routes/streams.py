@@ -26,7 +26,7 @@ RECONNECT_MS = 500
     operation_id="events",
     summary="Journal and status as they change",
     response_class=EventSourceResponse,
-    responses=described(403),
+    responses=described(422),
 )
 async def events(
     runtime: RuntimeDependency,
@@ -55,7 +55,6 @@ async def events(
     operation_id="telemetry",
     summary="Points of the live plot, about 25 a second",
     response_class=EventSourceResponse,
-    responses=described(403),
 )
 async def telemetry(runtime: RuntimeDependency) -> AsyncIterator[ServerSentEvent]:
     """Stream `frame` (a `Frame`); nothing while the arm is not measured. A slow client skips frames, never lags."""
