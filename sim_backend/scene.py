@@ -33,7 +33,7 @@ NOMINAL_HOLE_M = (0.300, -0.110, 0.080)
 
 FINGER_RANGE_RAD = float(np.deg2rad(3.0))
 FINGER_STIFFNESS_NM = 12.0
-FINGER_DAMPING_NMS = 0.08
+FINGER_DAMPING_NMS = 0.03
 
 JOINT_STIFFNESS_NM = (3500.0, 3500.0, 3500.0, 800.0, 800.0, 800.0)
 """Stiffness of the joints' position loops with their transmissions; with the gripper's pads, about 1.7e4 N/m at the TCP vertically. An assumption: UR publishes none."""
@@ -41,7 +41,7 @@ JOINT_ARMATURE_KGM2 = (0.12, 0.12, 0.12, 0.02, 0.02, 0.02)
 """Rotor inertia behind the gears. An assumption: UR publishes none."""
 JOINT_DAMPING_RATIO = 1.0
 
-_CONTACT = {"solref": [0.010, 1.0], "solimp": [0.95, 0.99, 0.0005, 0.5, 2.0]}
+_CONTACT = {"solref": [0.015, 1.0], "solimp": [0.95, 0.99, 0.0005, 0.5, 2.0]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +89,6 @@ def build(part_name: str = "tr", clearance_m: float = 2.0e-3) -> Scene:
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     # walls move per simulation, away from the bounding volumes that compilation made
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
-    option.iterations = 20
-    option.ls_iterations = 10
     option.gravity = [0, 0, -9.81]
 
     _add_surroundings(spec)

@@ -1,0 +1,303 @@
+"""n peg insertions at once, as the deployed cell runs them: the same world, observation, action, lock and bounds.
+
+This is the environment without any framework. `training.environment` gives it Gymnasium's shape, `training.vector` that of
+stable-baselines3, and `training.evaluate` plays whole episodes on it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from service.policy.contract import PolicyContract
+from service.policy.observation import Measurement
+from service.safety import bounds, dsl
+from service.safety.pose import rotvec_from_yaw, wrap, yaw_and_tilt
+from sim_backend import quaternion
+from sim_backend.arm import Limits
+from sim_backend.protocol import pose
+from sim_backend.protocol.task import Part, Task
+from sim_backend.protocol.wire import TICK_S, Program
+from sim_backend.scene import NOMINAL_HOLE_M
+from sim_backend.world import START_YAW_RAD, World
+from training import reward
+from training.reward import RewardName, Situation
+
+Array = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+Cells = npt.NDArray[np.int64]
+
+SUCCESS_DEPTH_M = 2.5e-3
+"""The paper's: the peg's bottom this far below the hole's mouth."""
+GOAL_DEPTH_M = 4.0e-3
+"""Depth at which an episode ends; beyond the deployed cell's own criterion, so that a policy has been where that cell takes it."""
+PRIVILEGED_SIZE = 10
+LIMITS = Limits()
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One step of every cell; arrays (n,) unless said otherwise.
+
+    Attributes:
+        observation: (n, size) float32, raw units, after the step.
+        reward: of this step.
+        terminated: inserted, or stopped by a fault.
+        truncated: the time is up.
+        success: the peg is in: `SUCCESS_DEPTH_M` below the mouth with its axis inside the hole, at the end of the step.
+        fault: the force ceiling, or the arm's controller, stopped it.
+        peak_force: largest resultant of the episode so far over every sample, N.
+        depth: m.
+        z_lock: m, NaN without a lock.
+        phase: of the lock.
+        clamped: a command bound acted.
+    """
+
+    observation: npt.NDArray[np.float32]
+    reward: Array
+    terminated: Bool
+    truncated: Bool
+    success: Bool
+    fault: Bool
+    peak_force: Array
+    depth: Array
+    z_lock: Array
+    phase: npt.NDArray[np.int32]
+    clamped: Bool
+
+
+class Insertions:
+    """n cells under one contract.
+
+    Args:
+        contract: what the policy sees, does and is limited by.
+        n: how many cells.
+        part: peg and hole of all of them.
+        threads: that step the physics.
+        force_ceiling_n: resultant at which the cell stops, N.
+        reward_name: which reward.
+    """
+
+    def __init__(
+        self,
+        contract: PolicyContract,
+        n: int,
+        part: Part = "tr",
+        threads: int = 1,
+        force_ceiling_n: float = 30.0,
+        reward_name: RewardName = "potential",
+    ) -> None:
+        self.contract = contract
+        self.n = n
+        self.world = World(n, part, threads)
+        self._reward_name = reward_name
+        self._limits = Limits(force_ceiling_n=force_ceiling_n)
+        self._law = tuple(np.array(v) for v in (contract.compliance.stiffness, contract.compliance.damping, contract.compliance.inertia))
+        self._lock = contract.dsl
+        self._actions = contract.action_map()
+        self._builder = contract.observation_builder()
+        self._bounds = command_bounds(contract.ticks_per_step, self._limits)
+        self._memory = self._builder.begin((n,))
+        self._lock_state = dsl.DslState.begin((n,))
+        self._window = np.zeros((contract.ticks_per_step, n, 6))
+        self._target_position, self._target_yaw = np.zeros((n, 3)), np.zeros(n)
+        self._previous_action = np.zeros((n, 4))
+        self._potential = np.zeros(n)
+        self._nominal = np.broadcast_to(np.array(NOMINAL_HOLE_M), (n, 3))
+        self._start_yaw = np.full(n, START_YAW_RAD)
+        self.steps = np.zeros(n, np.int64)
+        self.peak_force = np.zeros(n)
+        self.observation = np.zeros((n, self._builder.size), np.float32)
+
+    @property
+    def observation_size(self) -> int:
+        return self._builder.size
+
+    @property
+    def action_size(self) -> int:
+        return self._actions.size
+
+    def reset(self, cells: Cells, tasks: Sequence[Task]) -> npt.NDArray[np.float32]:
+        """Begin new episodes in `cells` (k,): the end of the scripted approach, above the estimate, zeroed and engaged.
+
+        Returns:
+            (n, size) observations; rows of other cells are as they were.
+        """
+        world = self.world
+        world.reset(cells, tasks)
+        hover = world.camera(cells) + np.column_stack([np.zeros((len(cells), 2)), world.hover(cells)])
+        world.place(cells, hover, self._start_yaw[cells])
+        world.zero_ft(cells)
+        world.engage(cells, *self._law, self._limits)
+        mask = np.zeros(self.n, np.bool_)
+        mask[cells] = True
+        self._memory = self._memory.reset(mask)
+        self._lock_state = self._lock_state.reset(mask)
+        self._window[:, cells] = 0.0
+        self._previous_action[cells] = 0.0
+        self._target_position[cells] = world.position[cells]
+        self._target_yaw[cells] = pose.yaw_of(world.rotation[cells])
+        self.steps[cells] = 0
+        self.peak_force[cells] = 0.0
+        fresh = self._situation(np.zeros(self.n), np.zeros(self.n, np.bool_), np.zeros(self.n, np.bool_))
+        self._potential[cells] = reward.potential(fresh, GOAL_DEPTH_M)[cells]
+        self._memory, seen = self._builder.build(self._memory, self._measure(), mask)
+        self.observation = np.where(mask[:, None], seen, self.observation)
+        return self.observation
+
+    def step(self, action: npt.ArrayLike) -> Outcome:
+        """One policy step of every cell; `action` (n, action size) in [-1, 1]. Finished cells must be reset before."""
+        world, contract = self.world, self.contract
+        action = np.asarray(action, np.float64)
+        yaw = np.asarray(pose.yaw_of(world.rotation))
+        wrench = self._window[-contract.wrench_window_ticks :].mean(0)
+        displacement = self._actions.displacement(action, yaw)
+        self._lock_state, locked = dsl.step(self._lock, self._lock_state, world.position, wrench, displacement)
+        bounded = bounds.apply(
+            self._bounds,
+            world.position,
+            yaw,
+            locked.position,
+            yaw + locked.dyaw,
+            self._target_position,
+            self._target_yaw,
+        )
+        self._target_position, self._target_yaw = bounded.position, bounded.yaw
+        turn = quaternion.from_rotvec(rotvec_from_yaw(bounded.yaw))
+        everyone = np.arange(self.n)
+        world.arm.set_target(everyone, bounded.position, turn)
+        for tick in range(contract.ticks_per_step):
+            world.tick()
+            self._window[tick] = world.sensor.wrench
+        force = np.sqrt((self._window[..., :3] ** 2).sum(-1)).max(0)
+        np.maximum(self.peak_force, force, out=self.peak_force)
+        self.steps += 1
+        self._previous_action = np.clip(action, -1.0, 1.0)
+        self._memory, self.observation = self._builder.build(self._memory, self._measure())
+
+        fault = world.arm.program != Program.ENGAGED
+        depth = world.depth
+        inside = world.contained & ~fault
+        arrived = inside & (depth >= GOAL_DEPTH_M)
+        terminated = arrived | fault
+        truncated = ~terminated & (self.steps >= contract.max_steps)
+        success = inside & (depth >= SUCCESS_DEPTH_M) & (terminated | truncated)
+        situation = self._situation(force, arrived, fault)
+        after = reward.potential(situation, GOAL_DEPTH_M)
+        if self._reward_name == "paper":
+            earned = reward.paper_reward(situation)
+        else:
+            earned = reward.potential_reward(self._potential, after, situation)
+        self._potential = after
+        return Outcome(
+            observation=self.observation,
+            reward=earned,
+            terminated=terminated,
+            truncated=truncated,
+            success=success,
+            fault=fault,
+            peak_force=self.peak_force.copy(),
+            depth=depth.copy(),
+            z_lock=locked.z_lock,
+            phase=locked.phase,
+            clamped=bounded.clamped,
+        )
+
+    def privileged(self) -> npt.NDArray[np.float32]:
+        """(n, PRIVILEGED_SIZE) what only the simulation knows, each about in -1 … 1: for a critic, never for a policy."""
+        world = self.world
+        yaw_error = self._yaw_error()
+        order = max(self.world.symmetry_order, 1)
+        return np.column_stack(
+            [
+                np.clip(world.offset / 0.01, -3, 3),
+                np.clip((world.hole_position - world.position)[:, :2] / 0.01, -3, 3),
+                np.sin(order * yaw_error),
+                np.cos(order * yaw_error),
+                np.clip(world.depth / 0.01, -3, 1),
+                world.clearance / 2e-3,
+                world.friction,
+                self.steps / self.contract.max_steps,
+            ]
+        ).astype(np.float32)
+
+    def aim(self) -> npt.NDArray[np.float32]:
+        """(n, 4) true offset of the hole in the tool's frame over 5 mm, sine and cosine of the yaw error over the symmetry."""
+        world = self.world
+        delta = (world.hole_position - world.position)[:, :2]
+        yaw = np.asarray(pose.yaw_of(world.rotation))
+        cosine, sine = np.cos(yaw), np.sin(yaw)
+        order = max(self.world.symmetry_order, 1)
+        error = order * self._yaw_error()
+        return np.column_stack(
+            [
+                (cosine * delta[:, 0] + sine * delta[:, 1]) / 5e-3,
+                (cosine * delta[:, 1] - sine * delta[:, 0]) / 5e-3,
+                np.sin(error),
+                np.cos(error),
+            ]
+        ).astype(np.float32)
+
+    def _yaw_error(self) -> Array:
+        """(n,) from the nearest matching yaw, rad; zero for a round peg."""
+        order = self.world.symmetry_order
+        if order == 0:
+            return np.zeros(self.n)
+        error = np.asarray(pose.yaw_of(self.world.rotation)) - self.world.hole_yaw
+        return np.asarray(wrap(error * order)) / order
+
+    def _situation(self, force: Array, success: Bool, fault: Bool) -> Situation:
+        return Situation(self.world.offset, self._yaw_error(), self.world.depth, force, success, fault)
+
+    def _measure(self) -> Measurement:
+        world = self.world
+        _, tilt = yaw_and_tilt(pose.rotvec_from_rotation(world.rotation))
+        return Measurement(
+            position=world.position,
+            yaw=np.asarray(pose.yaw_of(world.rotation)),
+            tilt=tilt,
+            wrench_window=self._window,
+            hole_estimate=world.estimate,
+            nominal_hole=self._nominal,
+            target_position=self._target_position,
+            target_yaw=self._target_yaw,
+            start_yaw=self._start_yaw,
+            z_lock=self._lock_state.z_lock,
+            contact_z=self._lock_state.z_contact0,
+            phase=self._lock_state.phase,
+            previous_action=self._previous_action,
+            last_joint=world.joints[:, 5],
+        )
+
+
+def command_bounds(ticks_per_step: int, limits: Limits) -> bounds.BoundsParameters:
+    """The service's command bounds, at the limits that the arm's own program has."""
+    lower, upper = limits.workspace
+    return bounds.BoundsParameters(
+        period_s=ticks_per_step * TICK_S,
+        step_m=limits.max_step[0],
+        step_rad=limits.max_step[1],
+        speed_mps=limits.max_speed[0],
+        speed_radps=3.0,
+        leash_m=limits.max_step[0],
+        leash_rad=limits.max_step[1],
+        workspace_lower=lower,
+        workspace_upper=upper,
+        yaw_centre_rad=START_YAW_RAD,
+        yaw_half_range_rad=1.45,
+    )
+
+
+def info_of(outcome: Outcome) -> dict[str, Any]:
+    """The per-step facts that users of the environment look at."""
+    return {
+        "is_success": outcome.success,
+        "fault": outcome.fault,
+        "peak_force": outcome.peak_force,
+        "depth": outcome.depth,
+        "z_lock": outcome.z_lock,
+        "phase": outcome.phase,
+        "clamped": outcome.clamped,
+    }

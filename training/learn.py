@@ -1,0 +1,141 @@
+"""PPO with stable-baselines3 on the insertions."""
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+
+from service.policy.contract import PolicyContract
+from training.episodes import TaskSource
+from training.insertion import Insertions
+from training.network import InsertionPolicy
+from training.reward import RewardName
+from training.vector import InsertionVecEnv
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """Settings of one training.
+
+    Attributes:
+        steps: environment steps in all.
+        cells: simulated cells stepped together.
+        rollout: steps per cell between two updates.
+        hidden: layers of actor and critic.
+        learning_rate: at the start; falls linearly to a tenth.
+        threads: of the physics; 0 for one per core.
+        seed: of the network, the exploration and the tasks.
+    """
+
+    steps: int = 2_000_000
+    cells: int = 128
+    rollout: int = 64
+    hidden: tuple[int, ...] = (256, 256)
+    learning_rate: float = 5e-4
+    batch: int = 1024
+    epochs: int = 5
+    gamma: float = 0.99
+    gae_lambda: float = 0.95
+    entropy: float = 1e-3
+    initial_log_std: float = -0.5
+    reward: RewardName = "potential"
+    threads: int = 0
+    seed: int = 0
+    device: str = "cpu"
+
+
+class Progress(BaseCallback):
+    """Prints one line per rollout and writes checkpoints; `deadline_s` ends the training early."""
+
+    def __init__(self, directory: Path, deadline_s: float = float("inf"), every: int = 500_000) -> None:
+        super().__init__()
+        self._directory = directory
+        self._deadline = deadline_s
+        self._every = every
+        self._next = every
+        self._begin = time.monotonic()
+        self._recent: deque[dict[str, Any]] = deque(maxlen=500)
+        self._simulating = 0.0
+        self._rollout_began = 0.0
+
+    def _on_rollout_start(self) -> None:
+        self._rollout_began = time.monotonic()
+
+    def _on_rollout_end(self) -> None:
+        now = time.monotonic()
+        self._simulating += now - self._rollout_began
+        elapsed = now - self._begin
+        recent = self._recent
+        if recent:
+            success = np.mean([r["is_success"] for r in recent])
+            peak = np.percentile([r["peak_force"] for r in recent], [50, 99])
+            print(
+                f"{self.num_timesteps:9d} steps {elapsed:6.0f} s {self.num_timesteps / elapsed:6.0f}/s "
+                f"(simulation {self._simulating / elapsed:.0%}) success {success:.3f} "
+                f"steps/episode {np.mean([r['episode']['l'] for r in recent]):5.1f} "
+                f"return {np.mean([r['episode']['r'] for r in recent]):6.2f} "
+                f"peak force {peak[0]:4.1f} / {peak[1]:4.1f} N faults {np.mean([r['fault'] for r in recent]):.3f}",
+                flush=True,
+            )
+        if self.num_timesteps >= self._next:
+            self._next += self._every
+            self.model.save(self._directory / "checkpoint.zip")
+
+    def _on_step(self) -> bool:
+        self._recent.extend(info for info in self.locals["infos"] if "episode" in info)
+        return time.monotonic() - self._begin < self._deadline
+
+
+def learn(
+    contract: PolicyContract,
+    tasks: TaskSource,
+    recipe: Recipe,
+    directory: Path,
+    start_from: Path | None = None,
+    deadline_s: float = float("inf"),
+) -> PPO:
+    """Train a policy; checkpoints and the final model go to `directory`.
+
+    Args:
+        contract: what the policy sees and does.
+        tasks: what it is trained on.
+        recipe: how.
+        directory: is made if it does not exist.
+        start_from: a model saved by an earlier run, whose weights this one begins with.
+        deadline_s: seconds after which the training ends with what it has.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    environment = InsertionVecEnv(
+        Insertions(contract, recipe.cells, tasks.part, recipe.threads, reward_name=recipe.reward), tasks, recipe.seed
+    )
+    model = PPO(
+        InsertionPolicy,
+        environment,
+        learning_rate=lambda left: recipe.learning_rate * (0.1 + 0.9 * left),
+        n_steps=recipe.rollout,
+        batch_size=recipe.batch,
+        n_epochs=recipe.epochs,
+        gamma=recipe.gamma,
+        gae_lambda=recipe.gae_lambda,
+        ent_coef=recipe.entropy,
+        seed=recipe.seed,
+        device=recipe.device,
+        policy_kwargs={
+            "contract": contract,
+            "hidden": list(recipe.hidden),
+            "log_std_init": recipe.initial_log_std,
+            "share_features_extractor": True,
+        },
+    )
+    if start_from is not None:
+        model.set_parameters(PPO.load(start_from, device=recipe.device).get_parameters())
+    torch.set_num_threads(max(1, torch.get_num_threads()))
+    model.learn(recipe.steps, callback=Progress(directory, deadline_s), progress_bar=False)
+    model.save(directory / "final.zip")
+    return model

@@ -1,0 +1,84 @@
+"""Rewards of an insertion step, any batch shape. Lengths m, angles rad, forces N.
+
+`paper` is equations 1 and 2 of the paper. `potential` is what the shipped models were trained with: shaping by the change
+of a potential, so that no state pays by itself and hovering half inserted earns nothing.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+RewardName = Literal["potential", "paper"]
+
+PAPER_ALPHA = (2.3, 2.3, 1.23, 2.0, 0.5)
+PAPER_DELTA_M = (1e-4, 0.01)
+PAPER_SCALE = 1.0
+"""Our scale of equation 1, lengths in m: 110 steps spent 30 mm away cost 5, the lower end of the paper's range."""
+
+OFFSET_SCALE_M = 5e-3
+YAW_SCALE_RAD = 0.5
+HEIGHT_SCALE_M = 10e-3
+STEP_COST = 0.03
+SUCCESS_BONUS = 5.0
+FAULT_COST = 2.0
+FORCE_FREE_N = 9.0
+FORCE_COST_PER_N = 0.02
+FORCE_COST_MAX = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """What a reward judges, after a step; every field (...).
+
+    Attributes:
+        offset: (..., 2) of the peg's axis from the hole's, hole frame.
+        yaw_error: from the nearest matching yaw.
+        depth: of the peg's bottom below the mouth, negative above it.
+        peak_force: largest resultant during the step.
+        success: the peg went in, now.
+        fault: the force ceiling or the arm stopped the episode.
+    """
+
+    offset: Array
+    yaw_error: Array
+    depth: Array
+    peak_force: Array
+    success: npt.NDArray[np.bool_]
+    fault: npt.NDArray[np.bool_]
+
+
+def potential(situation: Situation, goal_depth_m: float) -> Array:
+    """Minus the distances to the goal, each in units of its scale; (...), at most zero."""
+    distance = np.sqrt((situation.offset**2).sum(-1))
+    height = np.maximum(goal_depth_m - situation.depth, 0.0)
+    return -(
+        distance / OFFSET_SCALE_M + np.abs(situation.yaw_error) / YAW_SCALE_RAD + height / HEIGHT_SCALE_M
+    )
+
+
+def potential_reward(before: Array, after: Array, situation: Situation) -> Array:
+    """Change of the potential, a cost per step and per newton of peak force, a bonus for success, a cost for a fault.
+
+    The change is taken without a discount: with a negative potential, a discount in it pays for standing still.
+    """
+    pressing = np.clip(FORCE_COST_PER_N * (situation.peak_force - FORCE_FREE_N), 0.0, FORCE_COST_MAX)
+    return (
+        (after - before)
+        - STEP_COST
+        - pressing
+        + SUCCESS_BONUS * situation.success
+        - FAULT_COST * situation.fault
+    )
+
+
+def paper_reward(situation: Situation) -> Array:
+    """Equations 1 and 2, the root read as a distance to be kept small, times `PAPER_SCALE`."""
+    a1, a2, a3, a4, a5 = PAPER_ALPHA
+    x, y = situation.offset[..., 0], situation.offset[..., 1]
+    distance = np.sqrt(x**2 + y**2 + situation.depth**2)
+    weighted = np.sqrt(a1 * x**2 + a2 * y**2 + a3 * situation.depth**2)
+    inserted = np.where(distance < PAPER_DELTA_M[1], situation.depth, 0.0)
+    return PAPER_SCALE * (-weighted + a4 * (distance < PAPER_DELTA_M[0]) + a5 * inserted)
