@@ -65,10 +65,10 @@ def measure(scale: float) -> Result:
         finding=f"Of raw: {ratios} threads. The aim is {TARGET}.",
         method=(
             f"{steps} steps of {vftm_dsl().ticks_per_step} ticks with random actions; before each, the same states "
-            "step raw, controls held, once in one call and once tick by tick. k/s: thousands of ticks per second; a tick "
-            f"is {TICK_S * 1e3:g} ms of one cell. physics: share of `Batch.step` in the environment's step; the rest is "
-            "compliance law and sensor at every tick, lock, bounds and observation at every step. steps/s: policy "
-            "steps, resets included."
+            "step raw, controls held, once in one call and once tick by tick. k/s: thousands of ticks per second, "
+            f"a tick being {TICK_S * 1e3:g} ms of one cell. physics: share of `Batch.step` in the environment's step; "
+            "the rest is law and sensor at every tick, lock, bounds and observation at every step. "
+            "steps/s: policy steps, resets included."
         ),
     )
 
