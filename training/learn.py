@@ -3,6 +3,7 @@
 import time
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from service.policy.contract import PolicyContract
 from training.episodes import TaskSource
 from training.insertion import Insertions
 from training.network import InsertionPolicy
+from training.parallel import ParallelInsertions
 from training.reward import RewardName
 from training.vector import InsertionVecEnv
 
@@ -25,16 +27,19 @@ class Recipe:
 
     Attributes:
         steps: environment steps in all.
-        cells: simulated cells stepped together.
+        cells: simulated cells stepped together, over all workers.
+        workers: processes that they are spread over.
         rollout: steps per cell between two updates.
         hidden: layers of actor and critic.
         learning_rate: at the start; falls linearly to a tenth.
-        threads: of the physics; 0 for one per core.
+        threads: of the physics, per worker; 0 for one per core.
+        torch_threads: of the update; 0 leaves torch's choice.
         seed: of the network, the exploration and the tasks.
     """
 
     steps: int = 2_000_000
     cells: int = 128
+    workers: int = 1
     rollout: int = 64
     hidden: tuple[int, ...] = (256, 256)
     learning_rate: float = 5e-4
@@ -46,6 +51,7 @@ class Recipe:
     initial_log_std: float = -0.5
     reward: RewardName = "potential"
     threads: int = 0
+    torch_threads: int = 0
     seed: int = 0
     device: str = "cpu"
 
@@ -111,9 +117,10 @@ def learn(
         deadline_s: seconds after which the training ends with what it has.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    environment = InsertionVecEnv(
-        Insertions(contract, recipe.cells, tasks.part, recipe.threads, reward_name=recipe.reward), tasks, recipe.seed
-    )
+    make = partial(_environment, contract, tasks, recipe)
+    environment = make(0) if recipe.workers == 1 else ParallelInsertions(make, recipe.workers)
+    if recipe.torch_threads:
+        torch.set_num_threads(recipe.torch_threads)
     model = PPO(
         InsertionPolicy,
         environment,
@@ -135,7 +142,12 @@ def learn(
     )
     if start_from is not None:
         model.set_parameters(PPO.load(start_from, device=recipe.device).get_parameters())
-    torch.set_num_threads(max(1, torch.get_num_threads()))
     model.learn(recipe.steps, callback=Progress(directory, deadline_s), progress_bar=False)
     model.save(directory / "final.zip")
+    environment.close()
     return model
+
+
+def _environment(contract: PolicyContract, tasks: TaskSource, recipe: Recipe, worker: int) -> InsertionVecEnv:
+    cells = Insertions(contract, recipe.cells // recipe.workers, tasks.part, recipe.threads, reward_name=recipe.reward)
+    return InsertionVecEnv(cells, tasks, recipe.seed * 1000 + worker)

@@ -25,6 +25,7 @@ class InsertionVecEnv(VecEnv):
         self._rng = np.random.default_rng(seed)
         self._action = np.zeros((insertions.n, insertions.action_size))
         self._returns = np.zeros(insertions.n)
+        self.render_mode = None
         size = insertions.observation_size + PRIVILEGED_SIZE
         super().__init__(
             insertions.n,
