@@ -10,12 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from service.faults import FaultCode
+from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 from service.safety.verdict import IGNORED, PASSED, Verdict
-
-FORCE_HARD_MAXIMUM_N = 50.0
-"""No configuration may set a force ceiling above this."""
-TORQUE_HARD_MAXIMUM_NM = 10.0
-"""No configuration may set a torque ceiling above this: the end of the sensor's range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +21,8 @@ class MonitorParameters:
     Attributes:
         force_ceiling_n: resultant force that trips, N.
         torque_ceiling_nm: resultant torque at the TCP that trips, N·m.
-        force_range_n: a force component at or beyond this is at the end of the sensor's range and trips as well.
+        force_range_n: a force component at or beyond this is at the end of the sensor's range and trips as well;
+            infinite where the source itself says when it saturates.
         torque_range_nm: likewise for torque.
         stuck_samples: this many bit-identical wrenches in a row mean that the sensor is stuck.
         max_age_s: age of the newest sample from which the cell is blind, s.
@@ -34,8 +31,8 @@ class MonitorParameters:
 
     force_ceiling_n: float
     torque_ceiling_nm: float
-    force_range_n: float
-    torque_range_nm: float
+    force_range_n: float = inf
+    torque_range_nm: float = inf
     stuck_samples: int = 10
     max_age_s: float = 0.02
     max_gap_s: float = 0.02
@@ -48,7 +45,7 @@ class MonitorParameters:
         """
         for field in fields(self):
             value = getattr(self, field.name)
-            if not (isfinite(value) and value > 0):
+            if not value > 0 or (value == inf and not field.name.endswith(("range_n", "range_nm"))):
                 raise ValueError(f"monitor.{field.name} must be finite and above zero, not {value!r}")
         if self.force_ceiling_n > FORCE_HARD_MAXIMUM_N:
             raise ValueError(
