@@ -11,12 +11,11 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
+from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 from service.messages import NAME_PATTERN
 
 PATH_VARIABLE = "DSL_ASSEMBLY_CONFIG"
 DEFAULT_PATH = Path("config/cell.toml")
-HARD_MAX_FORCE_N = 50.0
-"""No configuration, recipe or policy raises a force limit above this."""
 
 
 class ConfigError(ValueError):
@@ -30,7 +29,7 @@ def _check_box(box: tuple[tuple[float, float, float], tuple[float, float, float]
     return box
 
 
-Force = Annotated[float, Field(gt=0.0, le=HARD_MAX_FORCE_N, allow_inf_nan=False)]
+Force = Annotated[float, Field(gt=0.0, le=FORCE_HARD_MAXIMUM_N, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Position = tuple[Finite, Finite, Finite]
@@ -50,13 +49,13 @@ class CellSection(Section):
     Attributes:
         id: in keys, paths and URLs.
         endpoint: Zenoh endpoint that the control process listens on.
-        driver: `zenoh_sim` reaches a simulator over Zenoh, `in_process` steps one inside the control process.
+        driver: `zenoh_sim` reaches a simulated cell over Zenoh.
         state_dir: latch and ledger.
     """
 
     id: Name
     endpoint: Endpoint = "tcp/127.0.0.1:7447"
-    driver: Literal["zenoh_sim", "in_process"] = "zenoh_sim"
+    driver: Literal["zenoh_sim"] = "zenoh_sim"
     state_dir: Path
 
 
@@ -65,61 +64,69 @@ class LimitsSection(Section):
 
     Attributes:
         force_ceiling_n: resultant force of any single sample, N.
-        sample_age_s: age of the newest sample at which the cell latches STALE.
+        torque_ceiling_nm: resultant torque at the TCP of any single sample, N·m.
+        sample_age_s: age of the newest sample, and gap between two, at which the cell latches STALE.
+        stuck_samples: bit-identical wrenches in a row at which the cell latches SENSOR_STUCK.
         target_age_s: time without a target after which the arm's own controller stops.
-        max_step_m: largest change between two targets.
-        max_turn_rad: the same for the orientation.
-        max_speed_m_s: of the arm's reference.
-        max_turn_speed_rad_s: the same for the orientation.
-        leash_m: farthest that a target may lie from the measured position.
+        max_step_m: largest change between two targets, and distance of a target from the measured position.
+        max_turn_rad: the same for the yaw.
+        max_speed_m_s: of targets and of the arm's reference.
+        max_turn_speed_rad_s: the same for the yaw.
         max_tilt_rad: of the tool from straight down.
+        max_stiffness: N/m and N·m/rad that the control program runs; a policy that wants more is refused.
         workspace_m: lower and upper corner of the box that the TCP stays in, base frame.
-        clamped_steps: policy steps in a row whose action was clamped before the cell latches BOUNDS.
+        yaw_range_rad: how far the yaw may go from the start yaw, either way.
+        clamped_steps: outrageous policy steps in a row before the cell latches BOUNDS.
         stop_confirm_s: time in which a stop must be confirmed by measured velocity.
         policy_deadline_s: time that one inference may take before the cell latches POLICY_DEADLINE.
-        free_air_force_n: largest resultant, zeroed and averaged, that counts as touching nothing.
     """
 
     force_ceiling_n: Force
+    torque_ceiling_nm: Annotated[float, Field(gt=0.0, le=TORQUE_HARD_MAXIMUM_NM, allow_inf_nan=False)] = 5.0
     sample_age_s: Annotated[float, Field(ge=0.006, le=0.5, allow_inf_nan=False)] = 0.05
+    stuck_samples: Annotated[int, Field(ge=2, le=500)] = 10
     target_age_s: Annotated[float, Field(ge=0.02, le=1.0, allow_inf_nan=False)] = 0.3
-    max_step_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 0.01
-    max_turn_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = 0.15
-    max_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = 0.15
-    max_turn_speed_rad_s: Annotated[float, Field(gt=0.0, le=2.0, allow_inf_nan=False)] = 1.0
-    leash_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 0.015
+    max_step_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 0.012
+    max_turn_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = 0.30
+    max_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = 0.1
+    max_turn_speed_rad_s: Annotated[float, Field(gt=0.0, le=3.0, allow_inf_nan=False)] = 3.0
     max_tilt_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = 0.1
+    max_stiffness: SixPositive = (3000.0, 3000.0, 3000.0, 100.0, 100.0, 100.0)
     workspace_m: Box
+    yaw_range_rad: Annotated[float, Field(gt=0.0, le=3.14159, allow_inf_nan=False)] = 1.45
     clamped_steps: Annotated[int, Field(ge=1, le=100)] = 5
     stop_confirm_s: Annotated[float, Field(ge=0.05, le=2.0, allow_inf_nan=False)] = 0.5
     policy_deadline_s: Annotated[float, Field(ge=0.005, le=0.5, allow_inf_nan=False)] = 0.12
-    free_air_force_n: Force = 3.0
 
 
-class ComplianceSection(Section):
-    """The law about the TCP, base axes: x, y, z, then rotation about them.
+class PreflightSection(Section):
+    """What the sensor and the pose must look like before the arm moves; `service/safety/preflight.py`.
 
     Attributes:
-        stiffness: N/m and N·m/rad.
-        damping_ratio: of each axis; damping is 2 · ratio · sqrt(stiffness · inertia).
-        inertia: kg and kg·m².
+        window_samples: to judge from.
+        contact_force_n: mean resultant force from which something touches the tool.
+        bias_force_n: largest mean resultant force after zeroing.
+        bias_torque_nm: the same for torque.
+        noise_force_n: largest standard deviation of a component.
+        noise_torque_nm: the same for torque.
+        position_m: farthest from the start position.
+        yaw_rad: farthest from the start yaw.
+        tilt_rad: largest tilt.
     """
 
-    stiffness: SixPositive
-    damping_ratio: Annotated[float, Field(ge=0.5, le=5.0, allow_inf_nan=False)] = 1.0
-    inertia: SixPositive
-
-    @model_validator(mode="after")
-    def _bounded(self) -> Self:
-        limits = (5000.0,) * 3 + (200.0,) * 3
-        for axis, (value, limit) in enumerate(zip(self.stiffness, limits, strict=True)):
-            if value > limit:
-                raise ValueError(f"stiffness[{axis}] is {value}, the control program runs at most {limit}")
-        return self
+    window_samples: Annotated[int, Field(ge=10, le=1000)] = 100
+    contact_force_n: Force = 3.0
+    bias_force_n: Force = 1.5
+    bias_torque_nm: Positive = 0.3
+    noise_force_n: Positive = 1.5
+    noise_torque_nm: Positive = 0.4
+    position_m: Positive = 5e-3
+    yaw_rad: Positive = 0.05
+    tilt_rad: Positive = 0.02
 
 
 class RecipeSection(Section):
-    """One insertion: which part, by which policy, from where, how stiff.
+    """One insertion: which part, by which policy, from where. The compliance law is in the policy's contract.
 
     Attributes:
         part: peg and hole.
@@ -132,10 +139,9 @@ class RecipeSection(Section):
         nominal_hole_m: centre of the hole's mouth where no camera says better.
         hover_m: height above the hole's mouth at which the approach ends.
         approach_speed_m_s: of the scripted moves.
-        max_steps: policy steps before the run fails.
+        max_steps: policy steps before the run fails, where fewer than the policy's own.
         success_depth_m: how far below the surface the peg's bottom must be.
         conditions: distributions that a simulated world draws from.
-        compliance: the law while engaged.
     """
 
     part: Name
@@ -147,11 +153,10 @@ class RecipeSection(Section):
     start_yaw_rad: Finite
     nominal_hole_m: Position
     hover_m: Annotated[float, Field(ge=0.005, le=0.1, allow_inf_nan=False)] = 0.025
-    approach_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = 0.1
-    max_steps: Annotated[int, Field(ge=1, le=2000)] = 110
+    approach_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = 0.08
+    max_steps: Annotated[int, Field(ge=1, le=2000)] | None = None
     success_depth_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 3.0e-3
     conditions: Literal["standard", "easy"] = "standard"
-    compliance: ComplianceSection
 
 
 class SimSection(Section):
@@ -211,6 +216,7 @@ class CellConfig(BaseSettings):
 
     cell: CellSection
     limits: LimitsSection
+    preflight: PreflightSection = PreflightSection()
     sim: SimSection = SimSection()
     api: ApiSection = ApiSection()
     client_loss: ClientLossSection = ClientLossSection()
@@ -230,6 +236,8 @@ class CellConfig(BaseSettings):
                     f"recipes.{name}.approach_speed_m_s is {recipe.approach_speed_m_s}, above limits.max_speed_m_s "
                     f"({self.limits.max_speed_m_s})"
                 )
+        if self.preflight.bias_force_n >= self.preflight.contact_force_n:
+            raise ValueError("preflight.bias_force_n must be below preflight.contact_force_n")
         if self.limits.policy_deadline_s >= self.limits.target_age_s:
             raise ValueError("limits.policy_deadline_s must be below limits.target_age_s, or the arm stops first")
         return self
@@ -274,8 +282,8 @@ def _field(location: tuple[int | str, ...]) -> str:
 
 
 def _with_absolute_paths(config: CellConfig, base: Path) -> CellConfig:
-    cell = config.cell.model_copy(update={"state_dir": base / config.cell.state_dir})
+    cell = config.cell.model_copy(update={"state_dir": (base / config.cell.state_dir).resolve()})
     recipes = {
-        name: recipe.model_copy(update={"policy": base / recipe.policy}) for name, recipe in config.recipes.items()
+        name: recipe.model_copy(update={"policy": (base / recipe.policy).resolve()}) for name, recipe in config.recipes.items()
     }
     return config.model_copy(update={"cell": cell, "recipes": recipes})

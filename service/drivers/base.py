@@ -31,6 +31,7 @@ class Sample:
 
     Attributes:
         epoch: identity of the source; another value means that the source was restarted.
+        episode: how often that source laid out its world; 0 for a real arm.
         seq: tick of the source; increases by one.
         time_s: the source's clock.
         arrival_s: the host's injected monotonic clock (`Driver.clock`) when the sample arrived.
@@ -51,6 +52,7 @@ class Sample:
     """
 
     epoch: int
+    episode: int
     seq: int
     time_s: float
     arrival_s: float
@@ -150,6 +152,11 @@ class Driver(Protocol):
     @property
     def mode(self) -> Literal["real_time", "lockstep"]:
         """Whether time passes by itself, or only as far as this driver lets it."""
+        ...
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a run's world is drawn from a seed; a real arm refuses one."""
         ...
 
     @property

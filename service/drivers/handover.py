@@ -15,8 +15,8 @@ CAPACITY = 64
 class Handover:
     """A bounded queue of samples with one writer and one reader.
 
-    When it is full the oldest sample goes. Of those dropped, the one with the largest force is kept and comes out first:
-    a peak that falls into an overload still meets the ceiling.
+    When it is full the oldest sample goes. Of those dropped, the one with the largest force is kept and comes out
+    first: a peak that falls into an overload still meets the ceiling.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:

@@ -28,6 +28,7 @@ class InProcessDriver:
 
     mode: Literal["real_time", "lockstep"] = "lockstep"
     name = "simulated cell in this process"
+    simulated = True
     tick_s = wire.TICK_S
     samples_dropped = 0
 

@@ -34,6 +34,7 @@ def read_sample(record: Record, arrival_s: float) -> Sample:
     estimate = row["hole_estimate"].copy()
     return Sample(
         epoch=int(row["epoch"]),
+        episode=int(row["episode"]),
         seq=int(row["seq"]),
         time_s=float(row["time_s"]),
         arrival_s=arrival_s,

@@ -1,0 +1,389 @@
+"""One insertion from pre-flight to retract, driven by samples: no clock, no driver, no event loop.
+
+Every sample that the monitor has passed goes in, orders come out, in the order in which they are to be carried out.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from service.cell.path import Progress, StraightPath
+from service.cell.plan import Plan
+from service.cell.records import Disengage, Engage, Enter, Fail, Halt, Infer, Move, Order, Succeed, TickRecord, ZeroFt
+from service.drivers.base import PoseTarget, Program, Sample, StopReason
+from service.faults import FaultCode
+from service.messages import CellState
+from service.policy.observation import Measurement
+from service.safety import bounds, dsl, preflight
+from service.safety.pose import rotvec_from_yaw, yaw_and_tilt
+
+FloatArray = npt.NDArray[np.float64]
+
+ZEROING_TRIES = 12
+"""Zeroing takes one noisy reading, so an unlucky one is repeated; contact is not."""
+SETTLE_TICKS = 25
+"""Samples after zeroing that may still be from before: command, sensor and transport delay."""
+ENGAGE_TICKS = 250
+"""Samples in which the arm must have engaged."""
+APPROACH_TICKS = 5
+"""Samples between two targets of a scripted move."""
+SAFE_RISE_M = 0.01
+"""How far above the higher of start and hover the approach crosses over."""
+OUTRAGEOUS_ACTION = 10.0
+"""An action this many times its limit counts towards `clamped_steps`; trained policies stay within a few times."""
+OUTRAGEOUS_CHANGE = 3.0
+"""So does a change of target this many times the allowed one."""
+SUCCESS_STEPS = 2
+SURFACE_DOUBT_M = 2.5e-3
+"""A first contact further than this from the estimated surface was not the surface: the tip was in the hole already."""
+
+ARM_STOPS: dict[StopReason, FaultCode] = {
+    StopReason.NONE: FaultCode.LINK,
+    StopReason.COMMAND: FaultCode.AUTHORITY,
+    StopReason.FORCE_CEILING: FaultCode.FORCE_CEILING,
+    StopReason.TARGET_AGE: FaultCode.LINK,
+    StopReason.TARGET_REJECTED: FaultCode.BOUNDS,
+    StopReason.JOINT_LIMIT: FaultCode.KINEMATICS,
+    StopReason.KINEMATICS: FaultCode.KINEMATICS,
+    StopReason.PROTECTIVE_FORCE: FaultCode.PROTECTIVE_STOP,
+    StopReason.LEASE: FaultCode.AUTHORITY,
+}
+"""What it means when the arm's own controller stops under us."""
+ROBOT_MODE_RUNNING, SAFETY_MODE_NORMAL = 7, 1
+
+
+class Stage(StrEnum):
+    ZEROING = "ZEROING"
+    CHECKING = "CHECKING"
+    ENGAGING = "ENGAGING"
+    APPROACHING = "APPROACHING"
+    INSERTING = "INSERTING"
+    RETRACTING = "RETRACTING"
+    ENDED = "ENDED"
+
+
+class Insertion:
+    """One run's progress. Not used again after it has ended.
+
+    Args:
+        plan: its numbers.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._stage = Stage.ZEROING
+        self._stage_seq = -1
+        self._zeroings = 0
+        self._window: deque[FloatArray] = deque(maxlen=max(plan.ticks_per_step, plan.preflight.window_samples))
+        self._estimates: list[FloatArray] = []
+        self._hole = plan.nominal_hole
+        self._target = plan.start_position
+        self._target_yaw = plan.start_yaw
+        self._waypoints: list[FloatArray] = []
+        self._path = StraightPath(plan.start_position, [], 0.0, np.inf)
+        self._dsl_state = dsl.DslState.begin(z_floor=plan.limits.workspace[0, 2])
+        self._observation_state = plan.builder.begin()
+        self._previous_action = np.zeros(4)
+        self._asked: tuple[Sample, npt.NDArray[np.float32]] | None = None
+        self._outrageous = 0
+        self._deep_steps = 0
+        self._started_s: float | None = None
+        self._ended_s: float | None = None
+        self.steps = 0
+        self.last: TickRecord | None = None
+
+    @property
+    def stage(self) -> Stage:
+        return self._stage
+
+    @property
+    def depth_m(self) -> float | None:
+        """Of the peg's bottom below the surface, at the last policy step."""
+        return None if self.last is None else self.last.depth_m
+
+    @property
+    def phase(self) -> str | None:
+        return None if self.last is None else dsl.Phase(int(self.last.dsl.phase)).name
+
+    def duration_s(self, now_s: float) -> float:
+        """Time since the first approach move, on the samples' clock."""
+        return 0.0 if self._started_s is None else (self._ended_s or now_s) - self._started_s
+
+    def on_sample(self, sample: Sample) -> list[Order]:
+        """Take in one sample that the monitor has passed."""
+        return list(self._advance(sample))
+
+    def take_action(self, action: npt.NDArray[np.floating[Any]]) -> list[Order]:
+        """Take in the policy's answer to the last `Infer`; one that comes after the run's end is dropped.
+
+        Args:
+            action: (m,) as the contract has it.
+        """
+        if self._stage is not Stage.INSERTING or self._asked is None:
+            return []
+        sample, observation = self._asked
+        self._asked = None
+        return list(self._act(sample, observation, np.asarray(action, np.float64)))
+
+    # --- stages
+
+    def _advance(self, sample: Sample) -> Iterator[Order]:
+        if (halt := self._judge_arm(sample)) is not None:
+            self._stage = Stage.ENDED
+            yield halt
+            return
+        self._window.append(sample.wrench)
+        if self._stage_seq < 0:
+            self._stage_seq = sample.seq
+        match self._stage:
+            case Stage.ZEROING:
+                yield from self._zero(sample)
+            case Stage.CHECKING:
+                yield from self._check(sample)
+            case Stage.ENGAGING:
+                yield from self._await_engaged(sample)
+            case Stage.APPROACHING:
+                yield from self._approach(sample)
+            case Stage.INSERTING:
+                yield from self._insert(sample)
+            case Stage.RETRACTING:
+                yield from self._retract(sample)
+            case Stage.ENDED:
+                return
+
+    def _judge_arm(self, sample: Sample) -> Halt | None:
+        if sample.program is Program.PROTECTIVE_STOP:
+            return Halt(FaultCode.PROTECTIVE_STOP, "the arm is in its protective stop: inspect the cell, then reset")
+        if sample.robot_mode != ROBOT_MODE_RUNNING or sample.safety_mode != SAFETY_MODE_NORMAL:
+            modes = f"robot mode {sample.robot_mode}, safety mode {sample.safety_mode}"
+            return Halt(FaultCode.AUTHORITY, f"the arm is not ours to move: {modes}")
+        driven = self._stage in (Stage.APPROACHING, Stage.INSERTING, Stage.RETRACTING)
+        if driven and sample.program is not Program.ENGAGED:
+            reason = sample.stop_reason
+            return Halt(ARM_STOPS[reason], f"the arm's controller stopped by itself: {reason.name}")
+        return None
+
+    def _zero(self, sample: Sample) -> Iterator[Order]:
+        self._zeroings += 1
+        self._go(Stage.CHECKING, sample)
+        yield ZeroFt()
+
+    def _check(self, sample: Sample) -> Iterator[Order]:
+        elapsed = sample.seq - self._stage_seq
+        if elapsed <= SETTLE_TICKS:
+            self._window.clear()
+            self._estimates.clear()
+            return
+        if sample.hole_estimate is not None:
+            self._estimates.append(sample.hole_estimate)
+        if elapsed < SETTLE_TICKS + self._plan.preflight.window_samples:
+            return
+        plan = self._plan
+        verdict = preflight.check_wrench(plan.preflight, np.array(self._window))
+        if verdict.fault is FaultCode.BIAS and self._zeroings < ZEROING_TRIES:
+            yield from self._zero(sample)
+            return
+        yaw, tilt = yaw_and_tilt(sample.tcp_rotvec)
+        if verdict.fault is None:
+            verdict = preflight.check_start_pose(
+                plan.preflight, sample.tcp_position, float(yaw), tilt, plan.start_position, plan.start_yaw
+            )
+        if verdict.fault is not None:
+            yield from self._fail(verdict.fault, verdict.text)
+            return
+        if (text := self._locate_hole(sample)) is not None:
+            yield from self._fail(FaultCode.BOUNDS, text)
+            return
+        self._started_s = sample.time_s
+        self._go(Stage.ENGAGING, sample)
+        yield Enter(CellState.APPROACH)
+        yield Engage(plan.law, plan.limits)
+
+    def _locate_hole(self, sample: Sample) -> str | None:
+        """Settle where the hole is and how to get above it; say why not, where that leaves the workspace."""
+        plan = self._plan
+        if plan.uses_estimate:
+            if not self._estimates:
+                return "the policy goes by the camera's estimate of the hole, and there is none"
+            self._hole = np.mean(self._estimates, axis=0)
+        above = self._hole + np.array([0.0, 0.0, plan.hover_m])
+        safe_z = max(sample.tcp_position[2], above[2]) + SAFE_RISE_M
+        self._waypoints = [
+            np.array([*sample.tcp_position[:2], safe_z]),
+            np.array([*above[:2], safe_z]),
+            above,
+        ]
+        lower, upper = plan.limits.workspace
+        for point in self._waypoints:
+            if not ((point >= lower) & (point <= upper)).all():
+                return f"the way to the hole leads to {np.round(point, 4).tolist()} m, outside the workspace"
+        return None
+
+    def _await_engaged(self, sample: Sample) -> Iterator[Order]:
+        if sample.program is Program.ENGAGED:
+            self._target, self._target_yaw = sample.tcp_position, float(yaw_and_tilt(sample.tcp_rotvec)[0])
+            self._path = self._plan_path(self._waypoints, sample)
+            self._go(Stage.APPROACHING, sample)
+        elif sample.seq - self._stage_seq > ENGAGE_TICKS:
+            self._stage = Stage.ENDED
+            yield Halt(FaultCode.LINK, "the arm did not engage: does another client hold it?")
+
+    def _approach(self, sample: Sample) -> Iterator[Order]:
+        if (sample.seq - self._stage_seq) % APPROACH_TICKS == 0:
+            yield self._move(self._path.advance(), self._plan.start_yaw)
+        match self._path.progress(sample):
+            case Progress.ARRIVED:
+                self._go(Stage.INSERTING, sample)
+                yield Enter(CellState.RUNNING)
+                yield from self._observe(sample)
+            case Progress.OVERDUE:
+                yield from self._fail(FaultCode.BOUNDS, "the arm did not arrive above the hole: is the way clear?")
+            case Progress.UNDER_WAY:
+                pass
+
+    def _insert(self, sample: Sample) -> Iterator[Order]:
+        ticks = sample.seq - self._stage_seq
+        if self._asked is not None:
+            asked_s = self._asked[0].time_s
+            if sample.time_s - asked_s >= self._plan.policy_deadline_s:
+                self._stage = Stage.ENDED
+                text = f"no action within {self._plan.policy_deadline_s * 1e3:g} ms; the last target was held"
+                yield Halt(FaultCode.POLICY_DEADLINE, text)
+        elif ticks >= self._plan.ticks_per_step:
+            # An action that came late shortens no other step
+            late = ticks >= 2 * self._plan.ticks_per_step
+            self._stage_seq = sample.seq if late else self._stage_seq + self._plan.ticks_per_step
+            yield from self._observe(sample)
+
+    def _retract(self, sample: Sample) -> Iterator[Order]:
+        if (sample.seq - self._stage_seq) % APPROACH_TICKS == 0:
+            yield self._move(self._path.advance(), self._target_yaw)
+        # A peg that sticks is the next operator's to see: the end is a standstill in either case.
+        if self._path.progress(sample) is not Progress.UNDER_WAY:
+            self._stage = Stage.ENDED
+            self._ended_s = sample.time_s
+            yield Disengage()
+
+    # --- one policy step
+
+    def _observe(self, sample: Sample) -> Iterator[Order]:
+        state = self._dsl_state
+        yaw, tilt = yaw_and_tilt(sample.tcp_rotvec)
+        estimate = sample.hole_estimate
+        measurement = Measurement(
+            position=sample.tcp_position,
+            yaw=yaw,
+            tilt=tilt,
+            wrench_window=np.array(self._window)[-self._plan.ticks_per_step :],
+            hole_estimate=np.full(3, np.nan) if estimate is None else estimate,
+            nominal_hole=self._plan.nominal_hole,
+            target_position=self._target,
+            target_yaw=np.asarray(self._target_yaw),
+            start_yaw=np.asarray(self._plan.start_yaw),
+            z_lock=state.z_lock,
+            contact_z=state.z_contact0,
+            phase=state.phase,
+            previous_action=self._previous_action,
+            last_joint=np.asarray(sample.q[5]),
+        )
+        self._observation_state, observation = self._plan.builder.build(self._observation_state, measurement)
+        if not np.isfinite(observation).all():
+            self._stage = Stage.ENDED
+            yield Halt(FaultCode.SENSOR_INVALID, "something that the policy observes is not known: check the camera")
+            return
+        self._asked = sample, observation
+        yield Infer(observation)
+
+    def _act(self, sample: Sample, observation: npt.NDArray[np.float32], action: FloatArray) -> Iterator[Order]:
+        plan = self._plan
+        if not np.isfinite(action).all():
+            self._stage = Stage.ENDED
+            yield Halt(FaultCode.POLICY_INVALID, f"the policy answered {action.tolist()}; nothing was sent")
+            return
+        yaw, tilt = yaw_and_tilt(sample.tcp_rotvec)
+        displacement = plan.action.displacement(action, yaw)
+        self._previous_action = plan.action.unit(action)
+        felt = np.array(self._window)[-plan.lock_samples :].mean(0)
+        self._dsl_state, locked = dsl.step(plan.dsl, self._dsl_state, sample.tcp_position, felt, displacement)
+        bounded = bounds.apply(
+            plan.bounds, sample.tcp_position, yaw, locked.position, yaw + locked.dyaw,
+            self._target, self._target_yaw, np.linalg.norm(tilt),
+        )  # fmt: skip
+        order = self._move(bounded.position, float(bounded.yaw))
+        depth = self._depth(sample)
+        self.last = TickRecord(
+            self.steps, sample, observation, action, displacement, locked, bounded, order.target, depth
+        )
+        self.steps += 1
+        excess, change = float(plan.action.excess(action)), float(bounded.excess)
+        outrageous = excess > OUTRAGEOUS_ACTION or change > OUTRAGEOUS_CHANGE
+        self._outrageous = self._outrageous + 1 if outrageous else 0
+        if self._outrageous >= plan.clamped_steps:
+            self._stage = Stage.ENDED
+            text = f"an action of {excess:.3g} times its limit, a change of {change:.3g} times the allowed one"
+            yield Halt(FaultCode.BOUNDS, f"{self._outrageous} outrageous steps in a row, the last with {text}")
+            return
+        yield order
+        yield from self._judge(sample, locked, depth)
+
+    def _judge(self, sample: Sample, locked: dsl.DslOutput, depth: float) -> Iterator[Order]:
+        plan = self._plan
+        self._deep_steps = self._deep_steps + 1 if depth > plan.success_depth_m else 0
+        if self._deep_steps >= SUCCESS_STEPS:
+            yield Succeed(depth)
+            yield from self._begin_retract(sample)
+            return
+        if bool(locked.search_depth_exceeded):
+            text = f"no contact within {plan.dsl.search_depth_m * 1e3:g} mm"
+        elif bool(locked.search_time_exceeded):
+            text = f"no contact within {plan.dsl.search_steps} steps"
+        elif self.steps >= plan.max_steps:
+            text = f"not inserted within {plan.max_steps} steps"
+        else:
+            return
+        yield from self._fail(FaultCode.SEARCH_LIMIT, text, sample)
+
+    def _depth(self, sample: Sample) -> float:
+        contact = float(self._dsl_state.z_contact0)
+        surface = float(self._hole[2])
+        if np.isfinite(contact) and (not self._plan.uses_estimate or abs(contact - surface) < SURFACE_DOUBT_M):
+            surface = contact
+        return surface - float(sample.tcp_position[2])
+
+    # --- ends
+
+    def _fail(self, code: FaultCode, text: str, sample: Sample | None = None) -> Iterator[Order]:
+        yield Fail(code, text)
+        if self._stage in (Stage.APPROACHING, Stage.INSERTING):
+            yield from self._begin_retract(sample)
+        else:
+            self._stage = Stage.ENDED
+            yield Disengage()
+
+    def _begin_retract(self, sample: Sample | None) -> Iterator[Order]:
+        yield Enter(CellState.RETRACT)
+        if sample is None:
+            self._stage = Stage.ENDED
+            yield Disengage()
+            return
+        top = min(self._hole[2] + self._plan.hover_m, self._plan.limits.workspace[1, 2])
+        height = max(float(top), float(self._target[2]))
+        self._path = self._plan_path([np.array([*self._target[:2], height])], sample)
+        self._go(Stage.RETRACTING, sample)
+
+    # --- small parts
+
+    def _go(self, stage: Stage, sample: Sample) -> None:
+        self._stage, self._stage_seq = stage, sample.seq
+
+    def _plan_path(self, waypoints: list[FloatArray], sample: Sample) -> StraightPath:
+        period_s = APPROACH_TICKS * self._plan.tick_s
+        return StraightPath.plan(self._target, waypoints, self._plan.approach_speed_m_s, period_s, sample.time_s)
+
+    def _move(self, position: FloatArray, yaw: float) -> Move:
+        self._target, self._target_yaw = position, yaw
+        return Move(PoseTarget(position, rotvec_from_yaw(yaw)))

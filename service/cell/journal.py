@@ -1,0 +1,106 @@
+"""What the cell remembers and tells: latch and ledger on disk, events to whoever listens. Nothing here blocks."""
+
+import secrets
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from service.cell.latch import LatchFile
+from service.cell.ledger import Ledger
+from service.cell.records import TickRecord
+from service.cell.storage import StorageFullError, StorageThread
+from service.faults import FaultCode
+from service.messages import CellState, Event, EventKind, Latch, Run, Telemetry
+
+T = TypeVar("T")
+
+
+class Observer(Protocol):
+    """Someone who wants to know; called on the event loop's thread, after what it is about has been done."""
+
+    def on_event(self, event: Event) -> None: ...
+
+    def on_telemetry(self, point: Telemetry) -> None: ...
+
+    def on_tick(self, record: TickRecord) -> None: ...
+
+
+class Journal:
+    """Latch, ledger and events of one cell.
+
+    Args:
+        directory: the cell's state directory.
+        time_of_day: seconds since the Unix epoch, for stamps only.
+
+    Attributes:
+        latch: in force; set at once, on disk a moment later.
+        epoch: drawn when the process starts.
+
+    Raises:
+        OSError: the directory cannot be used.
+    """
+
+    def __init__(self, directory: Path, time_of_day: Callable[[], float]) -> None:
+        self.epoch = secrets.token_hex(8)
+        self.observers: list[Observer] = []
+        self.time_of_day = time_of_day
+        self._seq = 0
+        self._latch_file = LatchFile(directory)
+        self.latch: Latch | None = self._latch_file.read(time_of_day())
+        self._storage = StorageThread()
+        self.ledger = Ledger(directory, self._storage, time_of_day())
+        if self.ledger.interrupted and self.latch is None:
+            run = self.ledger.interrupted[-1]
+            text = f"run {run.id} was under way when the control process ended: inspect the cell, then reset"
+            self.set_latch(FaultCode.INTERRUPTED, text, run.id, run.peak_force_n)
+
+    @property
+    def fault(self) -> str | None:
+        """Why the disk cannot be relied on; None when it can."""
+        return self._storage.fault
+
+    def set_latch(self, code: FaultCode, text: str, run_id: str | None, peak_force_n: float | None) -> Latch:
+        """Latch; in force on return, whatever the disk does."""
+        latch = Latch(code=code, text=text, latched_at=self.time_of_day(), run_id=run_id, peak_force_n=peak_force_n)
+        self.latch = latch
+        self._try(lambda: self._storage.submit(lambda: self._latch_file.write(latch)))
+        return latch
+
+    def clear_latch_on_disk(self) -> Future[None]:
+        """Clear the file; `latch` stays in force until the caller has seen that it worked.
+
+        Raises:
+            StorageFullError: the disk does not keep up.
+        """
+        return self._storage.submit(lambda: self._latch_file.write(None))
+
+    def record(self, run: Run) -> Future[None] | None:
+        """Take in a run; None where the disk does not keep up."""
+        return self._try(lambda: self.ledger.record(run))
+
+    def tell(
+        self, kind: EventKind, state: CellState, text: str, code: FaultCode | None = None, run_id: str | None = None
+    ) -> None:
+        """Write an event and tell the observers."""
+        self._seq += 1
+        event = Event(
+            service_epoch=self.epoch, seq=self._seq, time=self.time_of_day(), kind=kind, state=state,
+            run_id=run_id, code=code, text=text,
+        )  # fmt: skip
+        self._try(lambda: self.ledger.note(event))
+        for observer in self.observers:
+            observer.on_event(event)
+
+    def close(self, timeout_s: float) -> bool:
+        """Write what is pending; return whether all of it was written in time."""
+        written = self._storage.close(timeout_s)
+        if written:
+            self.ledger.close()
+        return written
+
+    def _try(self, write: Callable[[], T]) -> T | None:
+        try:
+            return write()
+        except StorageFullError:
+            return None  # `fault` says so, and no run starts meanwhile

@@ -1,0 +1,85 @@
+"""A scripted straight move: targets along a polyline at a limited speed, until the arm has arrived."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from service.drivers.base import Sample
+
+FloatArray = npt.NDArray[np.float64]
+
+ARRIVAL_M = 5e-3
+"""Distance of the measured TCP from the end that counts as there; a compliant arm on a biased sensor stands off."""
+ARRIVAL_SPEED_M_S = 5e-3
+PATIENCE_S = 3.0
+"""Time beyond the path's own length over speed in which the arm must arrive."""
+
+
+class Progress(StrEnum):
+    UNDER_WAY = "UNDER_WAY"
+    ARRIVED = "ARRIVED"
+    OVERDUE = "OVERDUE"
+
+
+@dataclass(slots=True)
+class StraightPath:
+    """Targets along straight lines.
+
+    Attributes:
+        target: (3,) m, the target in force.
+        waypoints: (3,) m each, still ahead.
+        step_m: between two targets.
+        deadline_s: on the samples' clock.
+    """
+
+    target: FloatArray
+    waypoints: list[FloatArray]
+    step_m: float
+    deadline_s: float
+
+    @classmethod
+    def plan(
+        cls, start: FloatArray, waypoints: Sequence[FloatArray], speed_m_s: float, period_s: float, now_s: float
+    ) -> "StraightPath":
+        """Lay out a path.
+
+        Args:
+            start: (3,) m, the target in force.
+            waypoints: (3,) m each, in order.
+            speed_m_s: of the target.
+            period_s: between two calls of `advance`.
+            now_s: the samples' clock.
+        """
+        corners = [start, *waypoints]
+        length = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(corners))
+        deadline = now_s + length / speed_m_s + PATIENCE_S
+        return cls(start.copy(), [point.copy() for point in waypoints], speed_m_s * period_s, deadline)
+
+    def advance(self) -> FloatArray:
+        """Move the target on by one step; return it, (3,) m."""
+        left = self.step_m
+        while self.waypoints and left > 0.0:
+            way = self.waypoints[0] - self.target
+            distance = float(np.linalg.norm(way))
+            if distance > left:
+                self.target = self.target + way * (left / distance)
+                break
+            self.target = self.waypoints[0]
+            # The last waypoint stays, so that an arm that has not arrived keeps its target
+            if len(self.waypoints) == 1:
+                break
+            left -= distance
+            self.waypoints.pop(0)
+        return self.target
+
+    def progress(self, sample: Sample) -> Progress:
+        """Judge by measurement."""
+        at_end = len(self.waypoints) == 1 and bool((self.target == self.waypoints[0]).all())
+        near = float(np.linalg.norm(sample.tcp_position - self.target)) < ARRIVAL_M
+        if at_end and near and float(np.linalg.norm(sample.tcp_velocity[:3])) < ARRIVAL_SPEED_M_S:
+            return Progress.ARRIVED
+        return Progress.OVERDUE if sample.time_s > self.deadline_s else Progress.UNDER_WAY

@@ -1,0 +1,119 @@
+"""Everything that one insertion goes by, fixed before it starts: numbers of the recipe, the limits and the contract."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from service.config import CellConfig, RecipeSection
+from service.drivers.base import ComplianceLaw, Limits
+from service.policy.action import ActionMap
+from service.policy.contract import PolicyContract
+from service.policy.observation import ObservationBuilder
+from service.safety.bounds import BoundsParameters
+from service.safety.dsl import DslParameters
+from service.safety.preflight import PreflightParameters
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """One insertion's numbers. Lengths m, angles rad, base frame, times on the samples' clock.
+
+    Attributes:
+        start_position: (3,) where the TCP must stand.
+        start_yaw: and how it must be turned; kept during the approach.
+        nominal_hole: (3,) where the hole is without any camera.
+        uses_estimate: whether the approach and the depth go by the camera.
+        hover_m: height above the hole at which the approach ends.
+        approach_speed_m_s: of scripted moves.
+        max_steps: policy steps before the run fails.
+        ticks_per_step: samples per policy step.
+        lock_samples: newest samples whose mean wrench the lock goes by.
+        tick_s: period of the samples.
+        success_depth_m: below the surface.
+        policy_deadline_s: for one inference.
+        clamped_steps: steps in a row with an outrageous action before the cell latches.
+        law: compliance while engaged.
+        limits: that the arm's own controller enforces.
+        bounds: on every target of the policy.
+        dsl: the lock's constants.
+        preflight: what the sensor and the pose must look like.
+        builder: of observations.
+        action: meaning of the policy's output.
+    """
+
+    start_position: FloatArray
+    start_yaw: float
+    nominal_hole: FloatArray
+    uses_estimate: bool
+    hover_m: float
+    approach_speed_m_s: float
+    max_steps: int
+    ticks_per_step: int
+    lock_samples: int
+    tick_s: float
+    success_depth_m: float
+    policy_deadline_s: float
+    clamped_steps: int
+    law: ComplianceLaw
+    limits: Limits
+    bounds: BoundsParameters
+    dsl: DslParameters
+    preflight: PreflightParameters
+    builder: ObservationBuilder
+    action: ActionMap
+
+
+def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyContract) -> Plan:
+    """Put a recipe, the cell's limits and a policy's contract together."""
+    limits = config.limits
+    lower, upper = limits.workspace_m
+    law = contract.compliance
+    ceiling = limits.force_ceiling_n if recipe.force_ceiling_n is None else recipe.force_ceiling_n
+    return Plan(
+        start_position=np.array(recipe.start_position_m),
+        start_yaw=recipe.start_yaw_rad,
+        nominal_hole=np.array(recipe.nominal_hole_m),
+        uses_estimate=contract.mode != "FTM",
+        hover_m=recipe.hover_m,
+        approach_speed_m_s=recipe.approach_speed_m_s,
+        max_steps=contract.max_steps if recipe.max_steps is None else min(recipe.max_steps, contract.max_steps),
+        ticks_per_step=contract.ticks_per_step,
+        lock_samples=contract.wrench_window_ticks,
+        tick_s=contract.tick_s,
+        success_depth_m=recipe.success_depth_m,
+        policy_deadline_s=limits.policy_deadline_s,
+        clamped_steps=limits.clamped_steps,
+        law=ComplianceLaw(
+            stiffness=np.array(law.stiffness),
+            damping=np.array(law.damping),
+            inertia=np.array(law.inertia),
+            max_speed=np.array([limits.max_speed_m_s, limits.max_turn_speed_rad_s]),
+        ),
+        limits=Limits(
+            max_step=np.array([limits.max_step_m, limits.max_turn_rad]),
+            workspace=np.array(limits.workspace_m),
+            force_ceiling_n=ceiling,
+            target_age_s=limits.target_age_s,
+        ),
+        bounds=BoundsParameters(
+            period_s=contract.period_s,
+            step_m=limits.max_step_m,
+            step_rad=limits.max_turn_rad,
+            speed_mps=limits.max_speed_m_s,
+            speed_radps=limits.max_turn_speed_rad_s,
+            leash_m=limits.max_step_m,
+            leash_rad=limits.max_turn_rad,
+            workspace_lower=lower,
+            workspace_upper=upper,
+            yaw_centre_rad=recipe.start_yaw_rad,
+            yaw_half_range_rad=limits.yaw_range_rad,
+            tilt_rad=limits.max_tilt_rad,
+        ),
+        dsl=contract.dsl,
+        preflight=PreflightParameters(**config.preflight.model_dump()),
+        builder=contract.observation_builder(),
+        action=contract.action_map(),
+    )

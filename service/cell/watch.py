@@ -1,0 +1,47 @@
+"""The cell's two standing tasks: keep the driver connected, and keep watch while no sample comes."""
+
+import asyncio
+
+from service.cell.cell import Cell
+from service.drivers.base import DriverError
+from service.faults import FaultCode
+from service.messages import CellState
+
+RECONNECT_S = 0.5
+PERIOD_S = 0.005
+OVERRUN_S = 0.02
+"""Lateness of a turn of the watch that counts as an overrun."""
+OVERRUNS_IN_A_ROW = 5
+
+
+async def keep_linked(cell: Cell) -> None:
+    """Connect, and connect again whenever the link was given up; until cancelled. Never resumes a run."""
+    while True:
+        await cell.unlinked.wait()
+        if cell.state is CellState.OFFLINE:
+            cell.enter(CellState.CONNECTING)
+        try:
+            await cell.driver.connect(cell)
+        except (DriverError, OSError) as error:
+            cell.lose_link(str(error))
+            await asyncio.sleep(RECONNECT_S)
+        else:
+            cell.linked()
+
+
+async def keep_watch(cell: Cell) -> None:
+    """Judge silence and lateness in real time; in lockstep no sample means no time, so there is nothing to watch."""
+    if cell.driver.mode == "lockstep":
+        return
+    in_a_row = 0
+    before = cell.driver.clock()
+    while True:
+        await asyncio.sleep(PERIOD_S)
+        now = cell.driver.clock()
+        late = now - before - PERIOD_S > OVERRUN_S
+        in_a_row = in_a_row + 1 if late else 0
+        cell.overruns += late
+        before = now
+        if in_a_row >= OVERRUNS_IN_A_ROW:
+            cell.halt(FaultCode.OVERRUN, f"the control loop was more than {OVERRUN_S * 1e3:g} ms late {in_a_row} times")
+        cell.watch()
