@@ -94,7 +94,10 @@ class Insertions:
         self.world = World(n, part, threads)
         self._reward_name = reward_name
         self._limits = Limits(force_ceiling_n=force_ceiling_n)
-        self._law = tuple(np.array(v) for v in (contract.compliance.stiffness, contract.compliance.damping, contract.compliance.inertia))
+        self._law = tuple(
+            np.array(v)
+            for v in (contract.compliance.stiffness, contract.compliance.damping, contract.compliance.inertia)
+        )
         self._lock = contract.dsl
         self._actions = contract.action_map()
         self._builder = contract.observation_builder()

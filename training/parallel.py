@@ -71,7 +71,9 @@ class ParallelInsertions(VecEnv):
         setattr(self, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        raise NotImplementedError(f"the cells live in other processes and have no methods of their own: {method_name!r}")
+        raise NotImplementedError(
+            f"the cells live in other processes and have no methods of their own: {method_name!r}"
+        )
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         return [False] * self.num_envs

@@ -54,9 +54,7 @@ def potential(situation: Situation, goal_depth_m: float) -> Array:
     """Minus the distances to the goal, each in units of its scale; (...), at most zero."""
     distance = np.sqrt((situation.offset**2).sum(-1))
     height = np.maximum(goal_depth_m - situation.depth, 0.0)
-    return -(
-        distance / OFFSET_SCALE_M + np.abs(situation.yaw_error) / YAW_SCALE_RAD + height / HEIGHT_SCALE_M
-    )
+    return -(distance / OFFSET_SCALE_M + np.abs(situation.yaw_error) / YAW_SCALE_RAD + height / HEIGHT_SCALE_M)
 
 
 def potential_reward(before: Array, after: Array, situation: Situation) -> Array:
@@ -65,13 +63,7 @@ def potential_reward(before: Array, after: Array, situation: Situation) -> Array
     The change is taken without a discount: with a negative potential, a discount in it pays for standing still.
     """
     pressing = np.clip(FORCE_COST_PER_N * (situation.peak_force - FORCE_FREE_N), 0.0, FORCE_COST_MAX)
-    return (
-        (after - before)
-        - STEP_COST
-        - pressing
-        + SUCCESS_BONUS * situation.success
-        - FAULT_COST * situation.fault
-    )
+    return (after - before) - STEP_COST - pressing + SUCCESS_BONUS * situation.success - FAULT_COST * situation.fault
 
 
 def paper_reward(situation: Situation) -> Array:
