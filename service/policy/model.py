@@ -30,6 +30,7 @@ class PolicyFault(StrEnum):
     CONTRACT_MISSING = "CONTRACT_MISSING"
     CONTRACT_INVALID = "CONTRACT_INVALID"
     SIGNATURE = "SIGNATURE"
+    FAILED = "FAILED"
     INVALID_OBSERVATION = "INVALID_OBSERVATION"
     INVALID_OUTPUT = "INVALID_OUTPUT"
 
@@ -66,10 +67,22 @@ class Policy:
                 PolicyFault.HASH, f"{source} has SHA-256 {self.sha256}, admitted is {expected_sha256}: admit it anew"
             )
         self.contract = _read_contract(data, source)
-        self._session = _session(data, source)
         self._recurrent = self.contract.hidden_size > 0
-        self._outputs = ["action", "next_hidden"] if self._recurrent else ["action"]
-        self._check_signature()
+        # Within one graph an input and an output cannot share a name
+        self._inputs = {"observation": self.contract.observation_size}
+        self._outputs = {"action": len(self.contract.action)}
+        if self._recurrent:
+            self._inputs["hidden"] = self._outputs["next_hidden"] = self.contract.hidden_size
+        try:
+            self._session = _session(data)
+            inputs, outputs = (
+                [(node.name, node.type, list(node.shape)) for node in nodes]
+                for nodes in (self._session.get_inputs(), self._session.get_outputs())
+            )
+        except Exception as error:  # ONNX Runtime's errors share no public base class
+            raise PolicyError(PolicyFault.CORRUPT, f"ONNX Runtime refuses {source}: {error}") from error
+        self._check_signature("inputs", inputs, self._inputs)
+        self._check_signature("outputs", outputs, self._outputs)
         self._probe()
 
     @classmethod
@@ -104,7 +117,8 @@ class Policy:
 
         Raises:
             PolicyError: INVALID_OBSERVATION for one that is not finite or has another shape; INVALID_OUTPUT for a
-                result that is not finite. ONNX Runtime passes NaN through silently.
+                result that is not finite or has another shape (ONNX Runtime passes NaN through silently); FAILED
+                where ONNX Runtime raises.
         """
         size = self.contract.observation_size
         if observation.shape[-1:] != (size,) or not np.isfinite(observation).all():
@@ -120,9 +134,18 @@ class Policy:
                     PolicyFault.INVALID_OBSERVATION, f"want a finite hidden state {(*batch, self.contract.hidden_size)}"
                 )
             feed["hidden"] = np.ascontiguousarray(hidden, np.float32).reshape(-1, self.contract.hidden_size)
-        results: list[Float32Array] = self._session.run(self._outputs, feed)
-        if not all(np.isfinite(result).all() for result in results):
-            raise PolicyError(PolicyFault.INVALID_OUTPUT, f"{self.source}: the action or hidden state is not finite")
+        try:
+            results: list[Float32Array] = self._session.run(list(self._outputs), feed)
+        except Exception as error:  # ONNX Runtime's errors share no public base class
+            raise PolicyError(PolicyFault.FAILED, f"{self.source} does not run: {error}") from error
+        rows = len(feed["observation"])
+        for (name, width), result in zip(self._outputs.items(), results, strict=True):
+            if result.shape != (rows, width):
+                raise PolicyError(
+                    PolicyFault.INVALID_OUTPUT, f"{self.source}: {name} has shape {result.shape}, want {(rows, width)}"
+                )
+            if not np.isfinite(result).all():
+                raise PolicyError(PolicyFault.INVALID_OUTPUT, f"{self.source}: {name} is not finite")
         action, *rest = (result.reshape(*batch, result.shape[-1]) for result in results)
         return action, rest[0] if rest else None
 
@@ -134,28 +157,19 @@ class Policy:
         bad = np.flatnonzero(~np.isfinite(observation.reshape(-1, len(names))).all(0))
         return "not finite in " + ", ".join(dict.fromkeys(names[index] for index in bad.tolist()))
 
-    def _check_signature(self) -> None:
-        """Compare the graph's inputs and outputs with the contract's."""
-        contract = self.contract
-        recurrent_in = {"hidden": contract.hidden_size} if self._recurrent else {}
-        # Within one graph an input and an output cannot share a name
-        recurrent_out = {"next_hidden": contract.hidden_size} if self._recurrent else {}
-        for what, nodes, want in (
-            ("inputs", self._session.get_inputs(), {"observation": contract.observation_size, **recurrent_in}),
-            ("outputs", self._session.get_outputs(), {"action": len(contract.action), **recurrent_out}),
-        ):
-            names = sorted(node.name for node in nodes)
-            if names != sorted(want):
-                raise PolicyError(PolicyFault.SIGNATURE, f"{self.source}: {what} are {names}, want {sorted(want)}")
-            for node in nodes:
-                # A dimension is a number, or a name or None where it is open
-                batch_fixed = len(node.shape) == 2 and isinstance(node.shape[0], int) and node.shape[0] != 1
-                if node.type != "tensor(float)" or node.shape[1:] != [want[node.name]] or batch_fixed:
-                    raise PolicyError(
-                        PolicyFault.SIGNATURE,
-                        f"{self.source}: {node.name} is {node.type} {node.shape}, "
-                        f"want tensor(float) [batch, {want[node.name]}]",
-                    )
+    def _check_signature(self, what: str, nodes: list[tuple[str, str, list[Any]]], want: dict[str, int]) -> None:
+        """Compare the graph's inputs or outputs (name, type, shape) with the widths that the contract implies."""
+        names = sorted(name for name, _, _ in nodes)
+        if names != sorted(want):
+            raise PolicyError(PolicyFault.SIGNATURE, f"{self.source}: {what} are {names}, want {sorted(want)}")
+        for name, kind, shape in nodes:
+            # A dimension is a number, or a name or None where it is open
+            open_batch = len(shape) == 2 and (shape[0] == 1 or not isinstance(shape[0], int))
+            if kind != "tensor(float)" or not open_batch or shape[1] != want[name]:
+                raise PolicyError(
+                    PolicyFault.SIGNATURE,
+                    f"{self.source}: {name} is {kind} {shape}, want tensor(float) [batch, {want[name]}]",
+                )
 
     def _probe(self) -> None:
         """Run once at rest and once at each entry's scale: what fails there would fail in motion."""
@@ -164,16 +178,7 @@ class Policy:
             for entry in self.contract.observation
         ]
         for factor in (0.0, 1.0, -1.0):
-            try:
-                action, _ = self.act(
-                    (factor * np.concatenate(scales)).astype(np.float32)[None], self.initial_hidden((1,))
-                )
-            except PolicyError:
-                raise
-            except Exception as error:  # ONNX Runtime's errors share no public base class
-                raise PolicyError(PolicyFault.CORRUPT, f"{self.source} does not run: {error}") from error
-            if action.shape != (1, len(self.contract.action)):
-                raise PolicyError(PolicyFault.SIGNATURE, f"{self.source}: action has shape {action.shape}")
+            self.act((factor * np.concatenate(scales)).astype(np.float32), self.initial_hidden())
 
 
 def _read_contract(data: bytes, source: str) -> PolicyContract:
@@ -197,7 +202,7 @@ def _read_contract(data: bytes, source: str) -> PolicyContract:
         raise PolicyError(PolicyFault.CONTRACT_INVALID, f"{source}: {error}") from error
 
 
-def _session(data: bytes, source: str) -> Any:
+def _session(data: bytes) -> Any:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
@@ -205,7 +210,5 @@ def _session(data: bytes, source: str) -> Any:
     # A spinning thread would take a core from the 500 Hz loop
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
-    try:
-        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # ONNX Runtime's errors share no public base class
-        raise PolicyError(PolicyFault.CORRUPT, f"ONNX Runtime refuses {source}: {error}") from error
+    # The fallback prints, and tries the same provider again
+    return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"], enable_fallback=0)

@@ -51,10 +51,11 @@ def linear_model(
     batch: int | str = "batch",
     dtype: int = TensorProto.FLOAT,
     opset: int = 17,
+    activation: str = "Tanh",
     metadata: dict[str, str] | None = None,
     extra_nodes: Sequence[onnx.NodeProto] = (),
 ) -> onnx.ModelProto:
-    """`action = tanh(observation @ W)`, `next_hidden = tanh(hidden + mean(observation))` where the contract has one."""
+    """`action = activation(observation @ W)`, `next_hidden = tanh(hidden + mean(observation))`."""
     document = document or contract()
     size = observation_size or document.observation_size
     actions = len(document.action)
@@ -63,7 +64,7 @@ def linear_model(
         weights = np.random.default_rng(0).normal(scale=0.1, size=(size, actions))
     nodes = [
         helper.make_node("MatMul", [observation_name, "W"], ["product"]),
-        helper.make_node("Tanh", ["product"], ["action"]),
+        helper.make_node(activation, ["product"], ["action"]),
     ]
     inputs = [helper.make_tensor_value_info(observation_name, dtype, [batch, size])]
     outputs = [helper.make_tensor_value_info("action", dtype, [batch, actions])]
