@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from service.policy.contract import (
     PolicyContract,
     json_schema,
 )
+from service.policy.model import PolicyFault
 from service.policy.observation import ENTRIES
 from service.safety.dsl import DslParameters
 from tests.service.policy.model_files import ACTION, contract
@@ -204,3 +206,14 @@ def test_the_schema_names_every_field() -> None:
     schema = json.dumps(json_schema())
     for field in (*PolicyContract.model_fields, *ActionEntry.model_fields, "delta_f", "stiffness"):
         assert f'"{field}"' in schema
+
+
+def test_the_reference_page_holds_the_registry() -> None:
+    page = (Path(__file__).parents[3] / "docs/policy-contract.md").read_text()
+    for name, spec in ENTRIES.items():
+        needs = ", ".join(sorted(spec.needs)) or "–"
+        assert f"| `{name}` | {spec.size} | {spec.unit} | {spec.frame} | {needs} | {spec.meaning} |" in page
+    for field in PolicyContract.model_fields:
+        assert f"`{field}`" in page
+    for reason in PolicyFault:
+        assert f"`{reason}`" in page
