@@ -13,7 +13,7 @@ _BACKEND = os.environ.pop("MUJOCO_GL", "egl")
 
 import typer
 
-from sim_backend import rendering
+from sim_backend import appearance, rendering
 from sim_backend.cell import SimulatedCell
 from sim_backend.protocol.task import Part, Task
 from sim_backend.realtime import request_scheduling
@@ -70,16 +70,17 @@ def render(
     out: Annotated[Path, typer.Option(help="PNG file to write.")],
     seed: Annotated[int, typer.Option(help="Seed of the episode.")] = 0,
     part: Annotated[str, typer.Option(help=f"Peg and hole: {_PARTS}.")] = "tr",
-    camera: Annotated[str, typer.Option(help=f"One of {', '.join(rendering.CAMERAS)}.")] = "overview",
+    clearance_m: Annotated[float, typer.Option(help="Clearance per face, m.")] = 2e-3,
+    camera: Annotated[str, typer.Option(help=f"One of {', '.join(appearance.CAMERAS)}.")] = "overview",
     width: Annotated[int, typer.Option(min=16, max=1920)] = 1280,
     height: Annotated[int, typer.Option(min=16, max=1080)] = 720,
 ) -> None:
     """Draw the start of an episode."""
     try:
-        task = Task.from_json({"seed": seed, "part": part})
+        task = Task.from_json({"seed": seed, "part": part, "clearance_m": clearance_m})
         cell = SimulatedCell(task.part)
         cell.reset(task)
-        with rendering.Renderer(cell.model, width, height, _BACKEND) as renderer:
+        with rendering.Renderer(task.part, task.clearance_m, width, height, _BACKEND) as renderer:
             picture = renderer.draw(cell.data(), camera)
         rendering.write_png(out, picture)
     except rendering.RenderingUnavailableError as error:

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-CAMERAS = ("overview", "side", "hole", "wrist")
+from sim_backend import appearance, scene
+
 _REMEDY = "On Debian: apt-get install -y libegl1 libgl1 (software rendering, no GPU needed)"
 
 
@@ -18,13 +19,16 @@ class RenderingUnavailableError(RuntimeError):
 
 
 class Renderer:
-    """Draws one model from its named cameras. A context manager; use it from one thread."""
+    """Draws states of a cell from its named cameras. A context manager; use it from one thread."""
 
-    def __init__(self, model: mujoco.MjModel, width: int = 1280, height: int = 720, backend: str = "egl") -> None:
-        """Make an OpenGL context and upload the model.
+    def __init__(
+        self, part: str = "tr", clearance_m: float = 2e-3, width: int = 1280, height: int = 720, backend: str = "egl"
+    ) -> None:
+        """Make an OpenGL context and a dressed scene; the states to draw come from plain ones.
 
         Args:
-            model: compiled.
+            part: peg and hole.
+            clearance_m: per face.
             width: of the pictures, pixels.
             height: of the pictures, pixels.
             backend: `egl` or `osmesa`.
@@ -32,12 +36,16 @@ class Renderer:
         Raises:
             RenderingUnavailableError: no such context can be made here.
         """
-        self._model = model
-        self._viewport = mujoco.MjrRect(0, 0, width, height)
         self._gl = _new_context(backend, width, height)
-        self._scene = mujoco.MjvScene(model, 2000)
+        spec = scene.specify(part, clearance_m)
+        appearance.dress(spec, part, clearance_m)
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._viewport = mujoco.MjrRect(0, 0, width, height)
+        self._scene = mujoco.MjvScene(self._model, 1000)
         self._option = mujoco.MjvOption()
-        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
+        self._option.sitegroup[:] = 0
+        self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         mujoco.mjr_resizeOffscreen(width, height, self._context)
 
@@ -47,12 +55,12 @@ class Renderer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def draw(self, data: mujoco.MjData, camera: str = "overview") -> npt.NDArray[np.uint8]:
+    def draw(self, state: mujoco.MjData, camera: str = "overview") -> npt.NDArray[np.uint8]:
         """Draw a state.
 
         Args:
-            data: of the same model; its kinematics are brought up to date.
-            camera: name of a camera in the model.
+            state: of a cell with this part; only its positions are read.
+            camera: one of `appearance.CAMERAS`.
 
         Returns:
             (height, width, 3) uint8, RGB, top row first.
@@ -60,16 +68,16 @@ class Renderer:
         Raises:
             ValueError: no such camera.
         """
-        index = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
-        if index < 0:
-            names = ", ".join(self._model.camera(i).name for i in range(self._model.ncam))
-            raise ValueError(f"no camera {camera!r} in the scene, it has {names}")
+        if camera not in appearance.CAMERAS:
+            raise ValueError(f"no camera {camera!r} in the scene, it has {', '.join(appearance.CAMERAS)}")
+        data = self._data
+        data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = state.qpos, state.mocap_pos, state.mocap_quat
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_comPos(self._model, data)
         mujoco.mj_camlight(self._model, data)
         view = mujoco.MjvCamera()
         view.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        view.fixedcamid = index
+        view.fixedcamid = self._model.camera(camera).id
         mujoco.mjv_updateScene(
             self._model, data, self._option, None, view, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
         )

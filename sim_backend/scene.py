@@ -1,8 +1,8 @@
 """The scene: a UR3e with a gripper and a peg above a block with a hole, built with MuJoCo's `MjSpec`.
 
-Frames as in `docs/architecture.md`. The arm's bodies stand in its Denavit–Hartenberg frames, so MuJoCo's joint angles are the
-controller's. The hole is one box slab per wall, each on the outer side of its face: the hole is the intersection of the
-inner half-spaces, exactly, at any clearance. Only the peg touches the block, its floor and the table.
+Frames as in `docs/architecture.md`. The arm's bodies stand in its Denavit–Hartenberg frames, so MuJoCo's joint angles
+are the controller's. The hole is one box slab per wall, each on the outer side of its face: the hole is the
+intersection of the inner half-spaces, exactly, at any clearance. Only the peg touches the block, its floor and the table.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,8 @@ FINGER_STIFFNESS_NM = 12.0
 FINGER_DAMPING_NMS = 0.03
 
 JOINT_STIFFNESS_NM = (3500.0, 3500.0, 3500.0, 800.0, 800.0, 800.0)
-"""Stiffness of the joints' position loops with their transmissions; with the gripper's pads, about 1.7e4 N/m at the TCP vertically. An assumption: UR publishes none."""
+"""Stiffness of the joints' position loops with their transmissions; with the gripper's pads, about 1.7e4 N/m at the TCP
+vertically. An assumption: UR publishes none."""
 JOINT_ARMATURE_KGM2 = (0.12, 0.12, 0.12, 0.02, 0.02, 0.02)
 """Rotor inertia behind the gears. An assumption: UR publishes none."""
 JOINT_DAMPING_RATIO = 1.0
@@ -70,7 +71,7 @@ class Scene:
 
 
 def build(part_name: str = "tr", clearance_m: float = 2.0e-3) -> Scene:
-    """Build and compile the scene.
+    """Build and compile the scene, without anything that is only looked at: `appearance` adds that.
 
     Args:
         part_name: one of `parts.PARTS`.
@@ -79,6 +80,22 @@ def build(part_name: str = "tr", clearance_m: float = 2.0e-3) -> Scene:
     Raises:
         KeyError: no such part.
     """
+    part = PARTS[part_name]
+    model = specify(part_name, clearance_m).compile()
+    return Scene(
+        model=model,
+        part=part,
+        wall_geoms=np.array([model.geom(f"wall{i}").id for i in range(len(hole_walls(part, clearance_m)))]),
+        floor_geom=model.geom("floor").id,
+        peg_geom=model.geom("peg").id,
+        peg_body=model.body("peg").id,
+        gripper_body=model.body("gripper").id,
+        finger_dof=int(model.joint("finger").dofadr[0]),
+    )
+
+
+def specify(part_name: str, clearance_m: float) -> mujoco.MjSpec:
+    """Describe what `build` compiles."""
     part = PARTS[part_name]
     spec = mujoco.MjSpec()
     spec.modelname = f"dsl-assembly-{part_name}"
@@ -95,54 +112,23 @@ def build(part_name: str = "tr", clearance_m: float = 2.0e-3) -> Scene:
     _add_block(spec, part, clearance_m)
     flange = _add_arm(spec)
     _add_tool(spec, flange, part)
-
-    model = spec.compile()
-    return Scene(
-        model=model,
-        part=part,
-        wall_geoms=np.array([model.geom(f"wall{i}").id for i in range(len(hole_walls(part, clearance_m)))]),
-        floor_geom=model.geom("floor").id,
-        peg_geom=model.geom("peg").id,
-        peg_body=model.body("peg").id,
-        gripper_body=model.body("gripper").id,
-        finger_dof=int(model.joint("finger").dofadr[0]),
-    )
+    return spec
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:
-    world = spec.worldbody
-    world.add_geom(
+    spec.worldbody.add_geom(
         name="table",
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=[0.25, 0.0, -0.02],
         size=[0.45, 0.40, 0.02],
         contype=0,
         conaffinity=1,
-        rgba=[0.86, 0.85, 0.82, 1],
         **_CONTACT,
     )
-    world.add_light(pos=[0.6, -0.8, 1.6], dir=[-0.3, 0.5, -1.0], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
-    target = np.array(NOMINAL_HOLE_M)
-    for name, eye in {
-        "overview": target + [0.55, -0.65, 0.45],
-        "side": target + [0.02, -0.42, 0.10],
-        "hole": target + [0.14, -0.16, 0.16],
-    }.items():
-        world.add_camera(name=name, pos=eye, quat=_looking(eye, target), fovy=42)
-
-
-def _looking(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Quaternion (w, x, y, z) of a camera at `eye` whose -z axis points at `target`, its x axis level."""
-    back = (eye - target) / np.linalg.norm(eye - target)
-    right = np.cross([0.0, 0.0, 1.0], back)
-    right /= np.linalg.norm(right)
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.stack([right, np.cross(back, right), back], axis=1).ravel())
-    return quat
 
 
 def _add_block(spec: mujoco.MjSpec, part: Part, clearance_m: float) -> None:
-    """The block is a mocap body: its pose is the hole's mouth (x, y, z, yaw) and belongs to the state of a simulation."""
+    """The block is a mocap body: its pose is the hole's mouth (x, y, z, yaw) and is part of a simulation's state."""
     block = spec.worldbody.add_body(name="block", mocap=True, pos=list(NOMINAL_HOLE_M))
     walls = hole_walls(part, clearance_m)
     centres = wall_centres(part, clearance_m, WALL_HALF_THICKNESS_M)
@@ -155,7 +141,6 @@ def _add_block(spec: mujoco.MjSpec, part: Part, clearance_m: float) -> None:
             size=[WALL_HALF_THICKNESS_M, WALL_HALF_LENGTH_M, WALL_HALF_HEIGHT_M],
             contype=0,
             conaffinity=1,
-            rgba=[0.75, 0.78, 0.82, 1],
             **_CONTACT,
         )
     block.add_geom(
@@ -165,7 +150,6 @@ def _add_block(spec: mujoco.MjSpec, part: Part, clearance_m: float) -> None:
         size=[0.04, 0.04, 0.01],
         contype=0,
         conaffinity=1,
-        rgba=[0.55, 0.57, 0.60, 1],
         **_CONTACT,
     )
 
@@ -193,17 +177,6 @@ def _add_arm(spec: mujoco.MjSpec) -> "mujoco.MjsBody":
         link.iquat = step_quat
         link.inertia = joint.inertia_kg_m2
         link.explicitinertial = True
-        link.add_geom(
-            name=f"link{i + 1}_visual",
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=[0, 0, 0, *step_pos],
-            size=[0.035 if i < 3 else 0.028, 0, 0],
-            contype=0,
-            conaffinity=0,
-            group=1,
-            mass=0,
-            rgba=[0.62, 0.68, 0.75, 1],
-        )
         inertia_at_servo = JOINT_ARMATURE_KGM2[i] + (0.5, 0.4, 0.2, 0.02, 0.02, 0.002)[i]
         stiffness = JOINT_STIFFNESS_NM[i]
         damping = 2 * JOINT_DAMPING_RATIO * np.sqrt(stiffness * inertia_at_servo)
@@ -226,16 +199,6 @@ def _add_tool(spec: mujoco.MjSpec, gripper: "mujoco.MjsBody", part: Part) -> Non
     gripper.explicitinertial = True
     gripper.add_site(name="ft", pos=[0, 0, 0])
     gripper.add_site(name="tcp", pos=[0, 0, TCP_OFFSET_M])
-    for name, pos, size in (
-        ("palm", [0, 0, 0.045], [0.035, 0.030, 0.045]),
-        ("finger_left", [0, 0.022, 0.12], [0.011, 0.006, 0.030]),
-        ("finger_right", [0, -0.022, 0.12], [0.011, 0.006, 0.030]),
-    ):
-        gripper.add_geom(
-            name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=pos, size=size,
-            contype=0, conaffinity=0, group=1, mass=0, rgba=[0.16, 0.17, 0.19, 1],
-        )  # fmt: skip
-    gripper.add_camera(name="wrist", pos=[0.06, 0, 0.03], quat=[0, 1, 0, 0], fovy=60)
     # peg frame: at the bottom's centre, z along the peg into the world; the fingers' axis passes through the pads
     peg = gripper.add_body(name="peg", pos=[0, 0, TCP_OFFSET_M])
     peg.add_joint(
@@ -254,7 +217,6 @@ def _add_tool(spec: mujoco.MjSpec, gripper: "mujoco.MjsBody", part: Part) -> Non
         "contype": 1,
         "conaffinity": 0,
         "mass": PEG_MASS_KG,
-        "rgba": [0.93, 0.49, 0.13, 1],
         **_CONTACT,
     }
     height = part.peg_height_m

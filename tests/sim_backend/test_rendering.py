@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_backend import rendering
+from sim_backend import appearance, rendering
 from sim_backend.cell import SimulatedCell
 from sim_backend.protocol.task import Task
 
@@ -31,7 +31,7 @@ def cell() -> SimulatedCell:
 
 def drawn(cell: SimulatedCell, camera: str) -> np.ndarray:
     try:
-        renderer = rendering.Renderer(cell.model, 320, 180)
+        renderer = rendering.Renderer(cell.part, width=320, height=180)
     except rendering.RenderingUnavailableError as error:
         pytest.skip(str(error))
     with renderer:
@@ -44,7 +44,7 @@ def orange(picture: np.ndarray) -> int:
     return int(((red > 90) & (red > 2 * blue) & (red > green + 30)).sum())
 
 
-@pytest.mark.parametrize("camera", rendering.CAMERAS)
+@pytest.mark.parametrize("camera", appearance.CAMERAS)
 def test_every_camera_shows_the_peg(cell: SimulatedCell, camera: str) -> None:
     picture = drawn(cell, camera)
     assert picture.shape == (180, 320, 3)
@@ -52,7 +52,7 @@ def test_every_camera_shows_the_peg(cell: SimulatedCell, camera: str) -> None:
 
 
 def test_no_large_part_of_a_picture_is_black_or_blown_out(cell: SimulatedCell) -> None:
-    for camera in rendering.CAMERAS:
+    for camera in appearance.CAMERAS:
         picture = drawn(cell, camera)
         assert (picture.max(axis=2) < 8).mean() < 0.02, camera
         assert (picture.min(axis=2) > 250).mean() < 0.02, camera
@@ -88,9 +88,7 @@ def test_the_command_writes_a_png(tmp_path: Path) -> None:
         ({"PYOPENGL_PLATFORM": "glx"}, 3, "apt-get install"),
     ],
 )
-def test_a_machine_that_cannot_draw_says_so(
-    tmp_path: Path, environment: dict[str, str], code: int, named: str
-) -> None:
+def test_a_machine_that_cannot_draw_says_so(tmp_path: Path, environment: dict[str, str], code: int, named: str) -> None:
     process = render("--out", str(tmp_path / "cell.png"), **environment)
     assert process.returncode == code
     assert named in process.stderr
