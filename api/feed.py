@@ -75,10 +75,10 @@ class EventFeed:
             subscription.end()
 
     @contextmanager
-    def subscribe(self, last_event_id: str | None = None) -> Generator[Subscription]:
-        """Subscribe, beginning after `last_event_id` where it is given and still held, else with what comes next."""
+    def subscribe(self, last_event_id: str | None = None, replay: int = 0) -> Generator[Subscription]:
+        """Subscribe, beginning after `last_event_id` where it is given, else with the newest `replay` events."""
         held = list(self._held)
-        backlog: list[Event] = []
+        backlog = held[max(0, len(held) - replay) :]
         resumed = True
         if last_event_id is not None:
             known = [index for index, event in enumerate(held) if event_id(event) == last_event_id]

@@ -30,6 +30,7 @@ function show() {
     document.body.dataset.state = state;
     at("state").textContent = state;
     at("mark").textContent = MARKS[state] ?? "?";
+    at("answer").className = "";
     document.title = `${state} – ${document.body.dataset.cell}`;
   }
   setText("reason", reason(state, live));
@@ -45,7 +46,7 @@ function show() {
   setText("sample-age", number(measured && 1e3 * measured.sample_age_s, 0));
   if (state === "UNKNOWN") setText("depth", "–");
   setText("latch", state === "LATCHED" && status.latch
-    ? `${status.latch.code}: ${status.latch.text} (${clock(status.latch.latched_at)})` : "Nothing is latched.");
+    ? `${status.latch.code} since ${clock(status.latch.latched_at)}` : "Nothing is latched.");
   if (state === "UNKNOWN") setText("latch", "Not known.");
 }
 
@@ -67,7 +68,8 @@ function setText(id, text) {
 }
 
 function answer(text, kind) {
-  setText("answer", text);
+  // With its time, so that an old answer is not taken for the present state.
+  setText("answer", `${clock(Date.now() / 1e3)} ${text}`);
   at("answer").className = kind;
 }
 
@@ -114,7 +116,8 @@ function listen() {
 }
 
 function openJournal() {
-  const source = new EventSource("/events");
+  at("journal").replaceChildren();
+  const source = new EventSource(`/events?replay=${JOURNAL_SHOWN}`);
   source.addEventListener("status", (message) => {
     status = JSON.parse(message.data);
     heardAt = performance.now();

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from typing import Annotated
 
-from fastapi import APIRouter, Header
+from fastapi import APIRouter, Header, Query
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from api.feed import event_id
@@ -33,12 +33,13 @@ async def events(
     last_event_id: Annotated[
         str | None, Header(max_length=128, description="Id of the last event that the client has; it goes on after it.")
     ] = None,
+    replay: Annotated[int, Query(ge=0, le=100, description="Newest events to begin with, without an id.")] = 0,
 ) -> AsyncIterator[ServerSentEvent]:
     """Stream `event` (an `Event`, with id), `status` (a `CellStatus`, at least four a second) and `resync`.
 
     `resync` says that events after `Last-Event-ID` were lost to this client: read `GET /runs` anew.
     """
-    with runtime.cell.feed.subscribe(last_event_id) as subscription:
+    with runtime.cell.feed.subscribe(last_event_id, replay) as subscription:
         yield ServerSentEvent(event="status", data=runtime.status(), retry=RECONNECT_MS)
         if not subscription.resumed:
             yield ServerSentEvent(event="resync", data={"last_event_id": last_event_id})

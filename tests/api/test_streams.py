@@ -59,6 +59,15 @@ async def test_events_come_with_ids_and_are_taken_up_where_they_were_left(api: A
     assert texts == ["two", "three"]
 
 
+async def test_a_new_client_may_begin_with_the_newest_events(api: Api, cell: WireCell) -> None:
+    for text in ("one", "two", "three"):
+        cell.tell(EventKind.WARNING, text)
+    await until(lambda: len(api.held_events) == 3)
+    async with stream(api, "/events?replay=2") as messages:
+        texts = [(await next_of(messages, "event"))["data"]["text"] for _ in range(2)]
+    assert texts == ["two", "three"]
+
+
 async def test_a_client_is_told_when_events_were_lost_to_it(api: Api) -> None:
     async with stream(api, "/events", **{"Last-Event-ID": "e0.999"}) as messages:
         assert (await next_of(messages, "resync"))["data"] == {"last_event_id": "e0.999"}
