@@ -2,11 +2,13 @@
 
 import contextlib
 import json
+import os
+import shutil
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +27,8 @@ CLIENT = 42
 class Process:
     """`python -m sim_backend serve …`, from its ready line on."""
 
-    def __init__(self, endpoint: str, *options: str) -> None:
-        command = [sys.executable, "-m", "sim_backend", "serve", "--listen", endpoint, *options]
+    def __init__(self, endpoint: str, *options: str, prefix: Sequence[str] = ()) -> None:
+        command = [*prefix, sys.executable, "-m", "sim_backend", "serve", "--listen", endpoint, *options]
         self.popen = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         assert self.popen.stdout is not None
         line = self.popen.stdout.readline()
@@ -103,8 +105,8 @@ class States:
 
 
 @contextlib.contextmanager
-def served(endpoint: str, *options: str) -> Iterator[tuple[Process, Client]]:
-    process = Process(endpoint, *options)
+def served(endpoint: str, *options: str, prefix: Sequence[str] = ()) -> Iterator[tuple[Process, Client]]:
+    process = Process(endpoint, *options, prefix=prefix)
     try:
         with open_session([], [endpoint]) as session:
             yield process, Client(session)
@@ -289,6 +291,23 @@ def test_real_time_publishes_every_tick_in_order(real_time: Client) -> None:
     assert len({int(state["epoch"]) for state in states.records}) == 1
     counters = real_time.info()["counters"]
     assert counters["ticks"] >= 500
+
+
+def test_scheduling_that_the_host_refuses_is_said_and_missed_by_nothing_else(free_endpoint: str) -> None:
+    prefix: list[str] = []
+    if os.geteuid() == 0:
+        if shutil.which("setpriv") is None:
+            pytest.skip("root has every permission here, and there is no setpriv to give it up")
+        prefix = ["setpriv", "--bounding-set=-sys_nice,-ipc_lock"]
+    with served(free_endpoint, "--mode", "real-time", prefix=prefix) as (process, client):
+        states = States(client.session)
+        states.until(lambda state: state["seq"] > 50)
+        degraded = client.info()["degraded"]
+        code, errors = process.end()
+    assert code == 0
+    assert [line.removeprefix("degraded: ") for line in errors.splitlines()] == degraded
+    assert all("grant" in line for line in degraded)
+    assert degraded or not prefix
 
 
 def test_real_time_lets_nobody_else_advance_it(real_time: Client) -> None:
