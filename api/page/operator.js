@@ -193,7 +193,7 @@ at("stop").addEventListener("click", async () => {
     const { document: told } = await post("/stop");
     answer(told.confirmed ? "Stopped: the arm is measured standing." : `Stop received. ${told.detail}`, told.confirmed ? "good" : "bad");
   } catch (error) {
-    answer(`STOP NOT CONFIRMED. ${error instanceof TypeError ? "The server does not answer. Use the robot's emergency stop." : error.message}`, "bad");
+    answer(`STOP NOT CONFIRMED. ${error instanceof TypeError ? "The server does not answer. Use the robot's own emergency stop." : error.message}`, "bad");
   } finally {
     if (!document.hidden) listen();
   }
