@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 Cells = npt.NDArray[np.int64]
 
 KINEMATICS_TICKS = 20
-"""Ticks between two exact solutions of the inverse kinematics; in between the Jacobian's inverse carries the joints along."""
+"""Ticks between exact solutions of the inverse kinematics; between them the Jacobian's inverse carries the joints."""
 MAX_TARGET_DELAY = 16
 SINGULARITY_MARGIN = 0.05
 """Smallest `kinematics.singularity_margin` at which the arm is still driven."""
@@ -91,10 +91,10 @@ class ArmController:
         self.jacobian = np.zeros((n, 6, 6))
         self._inverse = np.zeros((n, 6, 6))
         self._sag = np.zeros((n, 6))
-        self._countdown = 0
+        self._phase = np.zeros(n, np.int64)
 
-    def place(self, cells: Cells, joints: Array, target_delay: Array) -> None:
-        """Put arms at rest at `joints` (k, 6), disengaged, with a delay in ticks (k,) between a target and its effect."""
+    def place(self, cells: Cells, joints: Array, target_delay: Cells) -> None:
+        """Put arms at rest at `joints` (k, 6), disengaged; a target takes effect after `target_delay` (k,) ticks."""
         self.joints[cells] = joints
         self.program[cells] = Program.IDLE
         self.stop_reason[cells] = StopReason.NONE
@@ -102,10 +102,10 @@ class ArmController:
         self.reference.twist[cells] = 0.0
         self._delay[cells] = target_delay
         self._pending[cells] = -1
-        position, orientation = self._pose_of(self.joints[cells])
+        position, orientation = self._tcp(*kinematics.forward(joints))
         self.reference.position[cells] = self.target_position[cells] = position
         self.reference.quaternion[cells] = self.target_quaternion[cells] = orientation
-        self._countdown = 0
+        self._phase[cells] = 0
 
     def engage(
         self, cells: Cells, stiffness: Array, damping: Array, inertia: Array, limits: Limits
@@ -201,10 +201,14 @@ class ArmController:
             advance(self.law, self.reference, self.target_position, self.target_quaternion, wrench)
         else:
             self._advance_some(engaged, wrench)
-        if self._countdown == 0:
-            self._solve()
-            self._countdown = KINEMATICS_TICKS
-        self._countdown -= 1
+        # each arm's own phase, so that what happens to one arm does not reach into another
+        due = self._phase == 0
+        if due.all():
+            self._solve(self._all)
+        elif due.any():
+            self._solve(np.flatnonzero(due))
+        self._phase += 1
+        self._phase %= KINEMATICS_TICKS
         rates = np.einsum("nij,nj->ni", self._inverse, self.reference.twist)
         self.joints += TICK_S * rates
         return self.joints + self._lead * rates + self._sag
@@ -247,7 +251,7 @@ class ArmController:
         self.stop_reason[fresh] = reason
         self._halted[fresh] = 0
         self.reference.twist[fresh] = 0.0
-        self._countdown = 0
+        self._phase[fresh] = 0
 
     def _advance_some(self, engaged: npt.NDArray[np.bool_], wrench: Array) -> None:
         """The law for arms that are engaged or coming to rest; the others hold their reference."""
@@ -262,30 +266,35 @@ class ArmController:
         self.reference.twist[resting] = 0.0
         self.program[resting] = Program.IDLE
 
-    def _solve(self) -> None:
+    def _solve(self, cells: Cells) -> None:
         """Bring the joints exactly onto the reference, and refresh the Jacobian's inverse and the payload's sag."""
-        halted = self.program == Program.PROTECTIVE_STOP
-        jacobian = self.jacobian = kinematics.jacobian(self.joints, self._offset)
-        singular = (kinematics.singularity_margin(self.joints) < SINGULARITY_MARGIN).any(1)
-        outside = (np.abs(self.joints) > kinematics.JOINT_RANGE_RAD).any(1)
+        joints = self.joints[cells]
+        flange, rotation, jacobian = kinematics.forward_and_jacobian(joints, self._offset)
+        self.jacobian[cells] = jacobian
+        position, orientation = self._tcp(flange, rotation)
+        singular = (kinematics.singularity_margin(joints) < SINGULARITY_MARGIN).any(1)
+        outside = (np.abs(joints) > kinematics.JOINT_RANGE_RAD).any(1)
+        held = self.program[cells] == Program.PROTECTIVE_STOP
         if singular.any() or outside.any():
-            self.stop(np.flatnonzero(singular), StopReason.KINEMATICS)
-            self.stop(np.flatnonzero(outside), StopReason.JOINT_LIMIT)
-            self.reference.twist[singular | outside] = 0.0
+            self.stop(cells[singular], StopReason.KINEMATICS)
+            self.stop(cells[outside], StopReason.JOINT_LIMIT)
+            self.reference.twist[cells[singular | outside]] = 0.0
             jacobian[singular] = np.eye(6)
-        self._inverse = np.linalg.inv(jacobian)
-        position, orientation = self._pose_of(self.joints)
-        if halted.any():
-            self.reference.position[halted], self.reference.quaternion[halted] = position[halted], orientation[halted]
-        error = np.concatenate(
-            [self.reference.position - position, quaternion.between(orientation, self.reference.quaternion)], axis=1
-        )
-        self.joints += np.einsum("nij,nj->ni", self._inverse, error)
+            held |= singular
+        inverse = np.linalg.inv(jacobian)
+        inverse[singular] = 0.0  # a singular arm does not move
+        self._inverse[cells] = inverse
+        if held.any():
+            self.reference.position[cells[held]] = position[held]
+            self.reference.quaternion[cells[held]] = orientation[held]
+        turn = quaternion.between(orientation, self.reference.quaternion[cells])
+        error = np.concatenate([self.reference.position[cells] - position, turn], axis=1)
+        joints += np.einsum("nij,nj->ni", inverse, error)
+        self.joints[cells] = joints
         mass, centre = self._payload
-        self._sag = (
-            self._compliance * (mass * 9.81) * kinematics.jacobian(self.joints, np.array([0, 0, centre]))[:, 2, :]
-        )
+        lift = kinematics.jacobian(joints, np.array([0.0, 0.0, centre]))[:, 2, :]
+        self._sag[cells] = self._compliance * (mass * 9.81) * lift
 
-    def _pose_of(self, joints: Array) -> tuple[Array, Array]:
-        flange, rotation = kinematics.forward(joints)
+    def _tcp(self, flange: Array, rotation: Array) -> tuple[Array, Array]:
+        """Position (k, 3) and quaternion (k, 4) of the TCP for a flange's pose."""
         return flange + rotation @ self._offset, quaternion.from_rotvec(pose.rotvec_from_rotation(rotation))

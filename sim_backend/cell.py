@@ -77,7 +77,7 @@ class SimulatedCell:
         return self.state()
 
     def apply(self, command: Record) -> None:
-        """Carry out one `wire.COMMAND` record. Content never raises: what is not for this world or not allowed is ignored."""
+        """Carry out one `wire.COMMAND` record. Never raises: what is not for this world or not allowed is ignored."""
         kind, client = int(command["kind"]), int(command["client"])
         arm = self._world.arm
         if kind == Kind.STOP:

@@ -2,11 +2,12 @@
 
     inertia · v̇  =  stiffness · e  −  damping · v  +  wrench
 
-`e` is the pose of the target seen from the reference (base axes), `v` the reference's twist, `wrench` what the sensor says that
-the environment does to the tool. The reference is what the position-controlled arm follows. Translation and rotation are
-about the TCP, the peg's tip, so a corner that catches turns the peg about its tip and does not drag it sideways.
-It needs nothing but the pose, the compensated wrench and position commands: any UR controller can run it. Why this law and
-not joint torques or `force_mode`: `docs/decisions/0004-admittance.md`.
+`e` is the pose of the target seen from the reference (base axes), `v` the reference's twist, `wrench` what the sensor
+says that the environment does to the tool. The reference is what the position-controlled arm follows. Translation and
+rotation are about the TCP, the peg's tip, so a corner that catches turns the peg about its tip and does not drag it
+sideways.
+It needs nothing but the pose, the compensated wrench and position commands: any UR controller can run it. Why this law
+and not joint torques or `force_mode`: `docs/decisions/0004-admittance.md`.
 """
 
 from dataclasses import dataclass
@@ -22,7 +23,10 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(slots=True)
 class Law:
-    """Parameters, each (n, 6): N/m and N·m/rad; N·s/m and N·m·s/rad; kg and kg·m². `max_speed`: (n, 2) m/s and rad/s."""
+    """Parameters, each (n, 6): N/m and N·m/rad; N·s/m and N·m·s/rad; kg and kg·m².
+
+    `max_speed` is (n, 2), m/s and rad/s.
+    """
 
     stiffness: Array
     damping: Array

@@ -17,7 +17,7 @@ RANGE = np.array([30.0] * 3 + [10.0] * 3)
 """End of the UR3e's sensor, N and N·m, per channel."""
 MAX_DELAY = 8
 ZERO_TICKS = 100
-"""Time constant of the average that a zero is taken from: a single sample would carry its noise into everything after."""
+"""Time constant of the average that a zero is taken from: one sample would carry its noise into everything after."""
 GRAVITY = 9.81
 
 
@@ -47,7 +47,7 @@ class ForceTorqueSensor:
         self._average = np.zeros((n, 6))
         self.raw = np.zeros((n, 6))
         self.wrench = np.zeros((n, 6))
-        self.saturated = np.zeros(n, bool)
+        self.saturated: npt.NDArray[np.bool_] = np.zeros(n, bool)
 
     def reset(self, cell: int, episode: Episode) -> None:
         """Give one sensor an episode's noise, bias and delay, and forget its past."""
@@ -57,8 +57,9 @@ class ForceTorqueSensor:
         self._bias[cell] = episode.bias
         self._drift[cell] = episode.drift * TICK_S
         self._zero[cell] = 0.0
-        # at rest for long before the episode begins
+        # at rest, tool down, for long before the episode begins; the payload's mass is not quite the configured one
         self._average[cell] = episode.bias + episode.wrench_noise[-ZERO_TICKS:].mean(axis=0)
+        self._average[cell, 2] += (episode.mass_scale - 1.0) * self._weight
         self._history[:, cell] = np.nan  # filled by the first reading
         self.raw[cell] = self.wrench[cell] = 0.0
         self.saturated[cell] = False
@@ -80,7 +81,7 @@ class ForceTorqueSensor:
         raw += self._bias
         raw += self._drift * self._tick[:, None]
         self._tick += 1
-        self.saturated = (np.abs(raw) >= RANGE).any(axis=1)
+        np.any(np.abs(raw) >= RANGE, axis=1, out=self.saturated)
         self.raw = np.clip(raw, -RANGE, RANGE)
         own = self.raw - self._gravity(rotation)
         self._average += (own - self._average) / ZERO_TICKS
@@ -97,7 +98,7 @@ class ForceTorqueSensor:
         self._zero[cells] = self._average[cells]
 
     def _gravity(self, rotation: Array) -> Array:
-        """Wrench of the configured payload's weight, (n, 6), flange axes: force along base -z at the payload's centre."""
+        """Wrench of the configured payload's weight, (n, 6), flange axes: force along base -z at its centre."""
         out = np.zeros((len(rotation), 6))
         out[:, :3] = -self._weight * rotation[:, 2, :]
         out[:, 3] = -self._com * out[:, 1]

@@ -118,10 +118,9 @@ class World:
             )
             self._friction[cell, :, 0] = episode.friction
             self._body_position[cell, self._scene.peg_body, :2] = episode.grasp_offset
-            self._mass[cell, self._scene.gripper_body] = scene.GRIPPER_MASS_KG * episode.mass_scale
-            self._inertia[cell, self._scene.gripper_body] = (
-                self.model.body_inertia[self._scene.gripper_body] * episode.mass_scale
-            )
+            carried = [self._scene.gripper_body, self._scene.peg_body]
+            self._mass[cell, carried] = self.model.body_mass[carried] * episode.mass_scale
+            self._inertia[cell, carried] = self.model.body_inertia[carried] * episode.mass_scale
             self._finger_stiffness[cell, -1] = scene.FINGER_STIFFNESS_NM * episode.stiffness_scale
             self._stiffness_scale[cell] = episode.stiffness_scale
             self._offset[cell] = episode.hole_position + episode.estimate_offset
@@ -150,7 +149,7 @@ class World:
         self._measure()
 
     def zero_ft(self, cells: Cells) -> None:
-        """Zero the sensors of `cells`: refused by the arm controller's owner while engaged, and meaningless in contact."""
+        """Zero the sensors of `cells`; whoever commands refuses it while engaged, and it is meaningless in contact."""
         self.sensor.zero(cells)
 
     def engage(
@@ -174,13 +173,13 @@ class World:
         self.estimate = self.camera(self._all)
 
     def camera(self, cells: Cells) -> Array:
-        """(k, 3) the camera's present estimate of the hole's mouth, as `estimate` will hold it from the next tick on."""
+        """(k, 3) the camera's present estimate of the hole's mouth; `estimate` holds it from the next tick on."""
         frame = (self.ticks[cells] // ESTIMATE_TICKS) % 64
         return self._offset[cells] + self._jitter[cells, frame]
 
     def hover(self, cells: Cells) -> Array:
         """(k,) height above the estimate, m, at which the episode's scripted approach ends."""
-        return np.array([self._episodes[cell].hover_m for cell in cells])
+        return np.array([self._episodes[int(cell)].hover_m for cell in cells])
 
     def data(self, cell: int = 0) -> mujoco.MjData:
         """One cell as MuJoCo data, for rendering and inspection."""
@@ -235,7 +234,7 @@ class World:
         of_cell = walls[np.searchsorted(np.unique(self.clearance), self.clearance)]
         offset = self.offset
         along = np.cos(of_cell[:, :, 0]) * offset[:, :1] + np.sin(of_cell[:, :, 0]) * offset[:, 1:]
-        return (along <= of_cell[:, :, 1]).all(axis=1)
+        return np.logical_and.reduce(along <= of_cell[:, :, 1], axis=1)
 
     @property
     def true_force(self) -> Array:

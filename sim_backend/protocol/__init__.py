@@ -1,1 +1,1 @@
-"""What crosses the wire between a simulated cell and its clients; imports neither MuJoCo nor the rest of `sim_backend`."""
+"""What crosses the wire between a simulated cell and its clients; needs no MuJoCo nor the rest of `sim_backend`."""

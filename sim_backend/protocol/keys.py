@@ -4,7 +4,7 @@
 |---|---|---|
 | `state` | publication, every tick in real time, none in lockstep | one `wire.STATE` |
 | `command` | subscription | one `wire.COMMAND` |
-| `advance` | query, lockstep only: commands (zero or more records) then that many ticks; `ticks` in the parameters | reply: `ticks` records of `wire.STATE` |
+| `advance` | query, lockstep: commands or none, then `ticks` (a parameter) ticks | reply: `ticks` of `wire.STATE` |
 | `reset` | query: JSON of `Task` | reply: one `wire.STATE`, after the world is laid out anew; an error reply is text |
 | `info` | query | reply: JSON `{"version", "mode", "epoch", "tick_s", "part"}` |
 | `truth` | query, for evaluation and tests; the service never asks | reply: JSON of the world's true state |

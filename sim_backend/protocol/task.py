@@ -49,7 +49,9 @@ class Task:
         if self.part not in Part.__args__:
             raise ValueError(f"task.part must be one of {', '.join(Part.__args__)}, not {self.part!r}")
         if self.conditions not in Conditions.__args__:
-            raise ValueError(f"task.conditions must be one of {', '.join(Conditions.__args__)}, not {self.conditions!r}")
+            raise ValueError(
+                f"task.conditions must be one of {', '.join(Conditions.__args__)}, not {self.conditions!r}"
+            )
         if type(self.clearance_m) not in (float, int) or not 0.05e-3 <= self.clearance_m <= 6e-3:
             raise ValueError(f"task.clearance_m must lie in 0.05e-3 … 6e-3 m, not {self.clearance_m!r}")
         if type(self.randomise_plant) is not bool:

@@ -78,7 +78,7 @@ STATE = np.dtype(
         ("tcp_velocity", "<f8", 6),
         ("target_position", "<f8", 3),  # the target in force
         ("target_rotvec", "<f8", 3),
-        ("wrench", "<f8", 6),  # at the TCP, base frame, zeroed and payload-compensated, as delayed and noisy as the sensor is
+        ("wrench", "<f8", 6),  # at the TCP, base frame, zeroed, payload-compensated, as delayed and noisy as the sensor
         ("ft_raw", "<f8", 6),  # sensor frame (flange), neither zeroed nor compensated
         ("hole_estimate", "<f8", 3),  # centre of the hole's mouth by the camera; NaN without one
         ("peak_force", "<f8"),  # largest resultant of the compensated force since ENGAGE, by the controller itself, N
