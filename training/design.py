@@ -1,7 +1,12 @@
-"""What the shipped policies see, do and are limited by: contracts to train against, before there is anything to measure."""
+"""What a policy sees, does and is limited by: contracts to train against, before there is anything to measure."""
+
+from dataclasses import replace
 
 from service.policy.contract import ActionEntry, ComplianceLaw, ObservationEntry, PolicyContract
+from service.policy.observation import ENTRIES, Mode, Need
+from service.safety import dsl
 from service.safety.dsl import DslParameters
+from sim_backend.protocol.task import Part
 
 LAW = ComplianceLaw(
     stiffness=(2500.0, 2500.0, 3000.0, 5.0, 5.0, 8.0),
@@ -12,6 +17,10 @@ LAW = ComplianceLaw(
 
 LOCK = DslParameters(mode="paper", seek_step_m=3e-3)
 """The paper's lock. Its increment presses with stiffness times increment, 9 N, where contact counts from 5 N."""
+PECK_PRESS_M = 3e-3
+"""How far a peck goes below the record: 9 N by `LAW`. On the paper's stiffer arm it was 1 mm."""
+
+MAX_STEPS = 110
 
 _SEEN = (
     ObservationEntry.of("hole_offset_xy", scale=3e-3, clip=4.0, history=4),
@@ -30,24 +39,55 @@ _SEEN = (
     ObservationEntry.of("time_fraction"),
 )
 
+_DONE = (
+    ActionEntry(name="dx", unit="m", frame="tool", limit=4e-3, map="signed_square"),
+    ActionEntry(name="dy", unit="m", frame="tool", limit=4e-3, map="signed_square"),
+    ActionEntry(name="dz", unit="m", frame="base", limit=1.5e-3),
+    ActionEntry(name="dyaw", unit="rad", frame="base", limit=0.175, map="signed_square"),
+)
 
-def vftm_dsl(name: str = "tr-vftm-dsl") -> PolicyContract:
-    """The triangle's policy: hole estimate, force and torque, the paper's lock."""
+
+def contract_for(
+    mode: Mode = "VFTM",
+    lock: dsl.Mode | None = None,
+    part: Part = "tr",
+    *,
+    clearance_m: tuple[float, float] = (0.25e-3, 4e-3),
+    max_steps: int = MAX_STEPS,
+    name: str | None = None,
+) -> PolicyContract:
+    """Contract of a policy to be.
+
+    Args:
+        mode: VFTM sees the hole's estimate and the contact, FTM the nominal centre and the contact, VM the estimate
+            and nothing of the contact.
+        lock: how the depth is limited; None: `paper`, and `off` in mode VM, which has no other.
+        part: peg and hole.
+        clearance_m: least and largest clearance per face that it is meant for.
+        max_steps: of an episode.
+        name: of the policy; None: made of the rest.
+
+    Raises:
+        ValueError: these do not go together; the text names the field.
+    """
+    lock = lock or ("off" if mode == "VM" else "paper")
     return PolicyContract(
-        name=name,
-        parts=("tr",),
-        clearance_m=(0.25e-3, 4e-3),
-        mode="VFTM",
+        name=name or f"{part}-{mode.lower()}-{lock}",
+        parts=(part,),
+        clearance_m=clearance_m,
+        mode=mode,
         ticks_per_step=50,
-        max_steps=110,
-        observation=_SEEN,
-        action=(
-            ActionEntry(name="dx", unit="m", frame="tool", limit=4e-3, map="signed_square"),
-            ActionEntry(name="dy", unit="m", frame="tool", limit=4e-3, map="signed_square"),
-            ActionEntry(name="dz", unit="m", frame="base", limit=1.5e-3),
-            ActionEntry(name="dyaw", unit="rad", frame="base", limit=0.175, map="signed_square"),
+        max_steps=max_steps,
+        observation=tuple(
+            entry for entry in _SEEN if mode != "VM" or Need.FORCE_TORQUE not in ENTRIES[entry.name].needs
         ),
-        dsl=LOCK,
+        action=tuple(entry for entry in _DONE if lock != "peck" or entry.name != "dz"),
+        dsl=replace(LOCK, mode=lock, press_m=PECK_PRESS_M if lock == "peck" else LOCK.press_m),
         compliance=LAW,
         wrench_window_ticks=25,
     )
+
+
+def vftm_dsl(name: str = "tr-vftm-dsl") -> PolicyContract:
+    """The triangle's policy: hole estimate, force and torque, the paper's lock."""
+    return contract_for("VFTM", "paper", "tr", name=name)
