@@ -223,3 +223,37 @@ def test_nothing_above_a_ceiling_passes(wrench: list[float]) -> None:
 def test_limits_that_guard_nothing_are_refused_by_name(field: str, value: float) -> None:
     with pytest.raises(ValueError, match=field):
         MonitorParameters(**{"force_ceiling_n": 30.0, "torque_ceiling_nm": 3.0, field: value})  # pyright: ignore
+
+
+def test_every_limit_is_reached_at_its_value(source: Source) -> None:
+    assert source.send([0, 0, 0, 3.0, 0, 0]).fault is FaultCode.FORCE_CEILING
+    last = source.now
+    assert source.monitor.overdue(last + 0.02 - 1e-9).fault is None
+    source = Source(MonitorParameters(30.0, 3.0, max_age_s=0.25, max_gap_s=0.25))
+    source.send(time_s=1.0)
+    assert source.send(time_s=1.25).fault is None
+    assert source.send(time_s=1.75).fault is FaultCode.STALE
+    source.now = 2.0
+    source.send(now=2.0, time_s=1.75)
+    assert source.monitor.overdue(2.25).fault is FaultCode.STALE
+    assert source.send(epoch=8, now=2.25).fault is FaultCode.LINK
+
+
+def test_what_tripped_is_told_in_milliseconds(source: Source) -> None:
+    assert source.monitor.overdue(source.now + 0.05).text == "no sample for 50.0 ms, limit 20 ms"
+    assert source.send(epoch=8).text == "two sources publish samples: epoch 0x8, and 0x7 2.0 ms ago"
+    assert "102.0 ms between two samples, limit 20 ms" in source.send(time_s=(source.seq - 1) * TICK + 0.102).text
+    source.now += 0.5
+    assert source.send(epoch=8).text.endswith("silent for 502.0 ms")
+
+
+def test_the_hard_maxima_themselves_and_two_samples_are_allowed() -> None:
+    source = Source(MonitorParameters(50.0, 10.0, stuck_samples=2))
+    assert source.monitor.force_n == 0.0
+    assert source.send([1, 0, 0, 0, 0, 0], seq=0).fault is None
+    assert source.send([1, 0, 0, 0, 0, 0]).fault is FaultCode.SENSOR_STUCK
+
+
+def test_the_defaults_notice_loss_within_ten_ticks() -> None:
+    defaults = MonitorParameters(30.0, 3.0)
+    assert (defaults.stuck_samples, defaults.max_age_s, defaults.max_gap_s) == (10, 0.02, 0.02)
