@@ -1,0 +1,16 @@
+"""Training, evaluation and export of policies. Importing it registers `dsl_assembly/PegInHole-v0` with Gymnasium.
+
+Gymnasium comes with the extra `training`; what needs it says so by its own import.
+"""
+
+from importlib.util import find_spec
+
+if find_spec("gymnasium") is not None:
+    import gymnasium
+
+    gymnasium.register(
+        "dsl_assembly/PegInHole-v0",
+        entry_point="training.environment:PegInHoleEnv",
+        vector_entry_point="training.environment:PegInHoleVectorEnv",
+        max_episode_steps=110,
+    )

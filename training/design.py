@@ -13,7 +13,7 @@ LAW = ComplianceLaw(
     damping=(380.0, 380.0, 650.0, 1.0, 1.0, 0.5),
     inertia=(2.5, 2.5, 2.5, 0.06, 0.06, 0.03),
 )
-"""Soft in rotation about the tip, so that a corner that drops in turns the peg; the damping is what 8 ms of delay allow."""
+"""Soft in rotation about the tip, so that a corner that drops in turns the peg; damped as 8 ms of delay allow."""
 
 LOCK = DslParameters(mode="paper", seek_step_m=3e-3)
 """The paper's lock. Its increment presses with stiffness times increment, 9 N, where contact counts from 5 N."""

@@ -16,7 +16,7 @@ class TaskSource:
 
     Attributes:
         part: peg and hole.
-        clearance_m: range of clearances per face; the square of a uniform draw makes the tight end likelier.
+        clearance_m: range of clearances per face; the tight end is likelier (a uniform draw to the power 1.5).
         conditions: distributions of an episode.
         randomise_plant: friction, stiffness, delay and mass vary.
     """

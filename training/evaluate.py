@@ -69,15 +69,15 @@ class Report:
         peaks = np.percentile([e.peak_force_n for e in self.episodes], [50, 99, 100])
         low, high = self.interval
         steps = np.mean([e.steps for e in self.episodes])
+        success = f"{self.successes}/{len(self.episodes)} = {self.rate:.1%} ({low:.1%} to {high:.1%})"
         return (
-            f"| {self.clearance_m * 1e3:.2f} | {self.conditions} | {self.successes}/{len(self.episodes)} = {self.rate:.1%} "
-            f"({low:.1%} to {high:.1%}) | {steps:.0f} | {peaks[0]:.1f} / {peaks[1]:.1f} / {peaks[2]:.1f} | "
-            f"{sum(e.fault for e in self.episodes)} |"
+            f"| {self.clearance_m * 1e3:.2f} | {self.conditions} | {success} | {steps:.0f} | "
+            f"{peaks[0]:.1f} / {peaks[1]:.1f} / {peaks[2]:.1f} | {sum(e.fault for e in self.episodes)} |"
         )
 
 
 HEADER = (
-    "| clearance, mm | conditions | success (95 % interval) | mean steps | peak force median / p99 / max, N | faults |\n"
+    "| clearance, mm | conditions | success (95 % interval) | mean steps | peak force median/p99/max, N | faults |\n"
     "|---|---|---|---|---|---|"
 )
 

@@ -1,6 +1,7 @@
 """From a trained network to the file that a cell loads: ONNX, normalisation inside, contract in the metadata."""
 
-import io
+import tempfile
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -40,18 +41,20 @@ def export(model: PPO, contract: PolicyContract, path: Path) -> Policy:
     """
     actor = DeterministicActor(model).cpu().eval()
     example = torch.randn(64, contract.observation_size) * actor.normalise.scale
-    buffer = io.BytesIO()
-    torch.onnx.export(
-        actor,
-        (example,),
-        buffer,
-        input_names=["observation"],
-        output_names=["action"],
-        dynamic_axes={"observation": {0: "batch"}, "action": {0: "batch"}},
-        opset_version=OPSET,
-        dynamo=False,
-    )
-    document = onnx.load_from_string(buffer.getvalue())
+    with tempfile.TemporaryDirectory() as directory, warnings.catch_warnings():
+        graph = Path(directory) / "actor.onnx"
+        warnings.simplefilter("ignore", DeprecationWarning)  # the exporter that takes its place needs another package
+        torch.onnx.export(
+            actor,
+            (example,),
+            graph,
+            input_names=["observation"],
+            output_names=["action"],
+            dynamic_axes={"observation": {0: "batch"}, "action": {0: "batch"}},
+            opset_version=OPSET,
+            dynamo=False,
+        )
+        document = onnx.load(graph)
     for key, value in contract.to_metadata().items():
         document.metadata_props.add(key=key, value=value)
     data = document.SerializeToString()

@@ -1,7 +1,7 @@
 """n peg insertions at once, as the deployed cell runs them: the same world, observation, action, lock and bounds.
 
-This is the environment without any framework. `training.environment` gives it Gymnasium's shape, `training.vector` that of
-stable-baselines3, and `training.evaluate` plays whole episodes on it.
+This is the environment without any framework. `training.environment` gives it Gymnasium's shape, `training.vector`
+that of stable-baselines3, and `training.evaluate` plays whole episodes on it.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ Cells = npt.NDArray[np.int64]
 SUCCESS_DEPTH_M = 2.5e-3
 """The paper's: the peg's bottom this far below the hole's mouth."""
 GOAL_DEPTH_M = 4.0e-3
-"""Depth at which an episode ends; beyond the deployed cell's own criterion, so that a policy has been where that cell takes it."""
+"""Depth that ends an episode: beyond the deployed cell's criterion, so that a policy has been where that takes it."""
 PRIVILEGED_SIZE = 10
 LIMITS = Limits()
 
@@ -94,10 +94,8 @@ class Insertions:
         self.world = World(n, part, threads)
         self._reward_name = reward_name
         self._limits = Limits(force_ceiling_n=force_ceiling_n)
-        self._law = tuple(
-            np.array(v)
-            for v in (contract.compliance.stiffness, contract.compliance.damping, contract.compliance.inertia)
-        )
+        law = contract.compliance
+        self._law = np.array(law.stiffness), np.array(law.damping), np.array(law.inertia)
         self._lock = contract.dsl
         self._actions = contract.action_map()
         self._builder = contract.observation_builder()
@@ -123,14 +121,17 @@ class Insertions:
         return self._actions.size
 
     def reset(self, cells: Cells, tasks: Sequence[Task]) -> npt.NDArray[np.float32]:
-        """Begin new episodes in `cells` (k,): the end of the scripted approach, above the estimate, zeroed and engaged.
+        """Begin new episodes in `cells` (k,): the scripted approach has ended above where the hole is thought to be.
+
+        That is the camera's estimate, in mode FTM the nominal centre. The sensor is zeroed, the arm engaged.
 
         Returns:
             (n, size) observations; rows of other cells are as they were.
         """
         world = self.world
         world.reset(cells, tasks)
-        hover = world.camera(cells) + np.column_stack([np.zeros((len(cells), 2)), world.hover(cells)])
+        known = self._nominal[cells] if self.contract.mode == "FTM" else world.camera(cells)
+        hover = known + np.column_stack([np.zeros((len(cells), 2)), world.hover(cells)])
         world.place(cells, hover, self._start_yaw[cells])
         world.zero_ft(cells)
         world.engage(cells, *self._law, self._limits)
@@ -177,7 +178,7 @@ class Insertions:
         force = np.sqrt((self._window[..., :3] ** 2).sum(-1)).max(0)
         np.maximum(self.peak_force, force, out=self.peak_force)
         self.steps += 1
-        self._previous_action = np.clip(action, -1.0, 1.0)
+        self._previous_action = self._actions.unit(action)
         self._memory, self.observation = self._builder.build(self._memory, self._measure())
 
         fault = world.arm.program != Program.ENGAGED
@@ -209,7 +210,7 @@ class Insertions:
         )
 
     def privileged(self) -> npt.NDArray[np.float32]:
-        """(n, PRIVILEGED_SIZE) what only the simulation knows, each about in -1 … 1: for a critic, never for a policy."""
+        """(n, PRIVILEGED_SIZE) what only the simulation knows, each about -1 … 1: for a critic, never for a policy."""
         world = self.world
         yaw_error = self._yaw_error()
         order = max(self.world.symmetry_order, 1)
@@ -227,7 +228,7 @@ class Insertions:
         ).astype(np.float32)
 
     def aim(self) -> npt.NDArray[np.float32]:
-        """(n, 4) true offset of the hole in the tool's frame over 5 mm, sine and cosine of the yaw error over the symmetry."""
+        """(n, 4) true offset of the hole, tool frame, over 5 mm; sine and cosine of the yaw error times symmetry."""
         world = self.world
         delta = (world.hole_position - world.position)[:, :2]
         yaw = np.asarray(pose.yaw_of(world.rotation))
@@ -294,13 +295,13 @@ def command_bounds(ticks_per_step: int, limits: Limits) -> bounds.BoundsParamete
 
 
 def info_of(outcome: Outcome) -> dict[str, Any]:
-    """The per-step facts that users of the environment look at."""
+    """What users of the environment look at after each step; `z_lock` is -inf where nothing limits the depth."""
     return {
         "is_success": outcome.success,
         "fault": outcome.fault,
         "peak_force": outcome.peak_force,
         "depth": outcome.depth,
-        "z_lock": outcome.z_lock,
+        "z_lock": np.where(np.isnan(outcome.z_lock), -np.inf, outcome.z_lock),
         "phase": outcome.phase,
         "clamped": outcome.clamped,
     }

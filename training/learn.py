@@ -5,7 +5,7 @@ from collections import deque
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -141,7 +141,8 @@ def learn(
         },
     )
     if start_from is not None:
-        model.set_parameters(PPO.load(start_from, device=recipe.device).get_parameters())
+        earlier = PPO.load(start_from, device=recipe.device)
+        model.set_parameters(cast(Any, earlier.get_parameters()))
     model.learn(recipe.steps, callback=Progress(directory, deadline_s), progress_bar=False)
     model.save(directory / "final.zip")
     environment.close()

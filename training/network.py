@@ -4,6 +4,7 @@ Normalisation belongs to the graph: the actor takes raw physical units, divides 
 clips, in training and in the exported model alike.
 """
 
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -37,7 +38,7 @@ class Normalisation(nn.Module):
 
 def _layers(sizes: list[int]) -> nn.Sequential:
     modules: list[nn.Module] = []
-    for before, after in zip(sizes[:-1], sizes[1:], strict=True):
+    for before, after in pairwise(sizes):
         modules += [nn.Linear(before, after), nn.ELU()]
     return nn.Sequential(*modules)
 

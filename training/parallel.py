@@ -80,7 +80,7 @@ class ParallelInsertions(VecEnv):
 
 
 def _work(pipe: Connection, make: MakeEnvironment, number: int) -> None:
-    """A worker's life: send its shape, then answer None with a reset and an action with a step, until the pipe closes."""
+    """Work: send the shapes, then answer None with a reset and an action with a step until the pipe closes."""
     environment = make(number)
     pipe.send((environment.num_envs, environment.observation_space, environment.action_space))
     while True:

@@ -1,7 +1,7 @@
 """Rewards of an insertion step, any batch shape. Lengths m, angles rad, forces N.
 
-`paper` is equations 1 and 2 of the paper. `potential` is what the shipped models were trained with: shaping by the change
-of a potential, so that no state pays by itself and hovering half inserted earns nothing.
+`paper` is equations 1 and 2 of the paper. `potential` is what the shipped models were trained with: shaping by the
+change of a potential, so that no state pays by itself and hovering half inserted earns nothing.
 """
 
 from dataclasses import dataclass

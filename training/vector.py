@@ -1,4 +1,4 @@
-"""The insertions as a vectorised environment of stable-baselines3, with the critic's privileged view beside the policy's."""
+"""The insertions as a vectorised environment of stable-baselines3, with a privileged view for the critic."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -86,7 +86,7 @@ class InsertionVecEnv(VecEnv):
         return [False] * len(self._indices(indices))
 
     def _indices(self, indices: Any) -> Sequence[int]:
-        return range(self.num_envs) if indices is None else list(np.atleast_1d(indices))
+        return range(self.num_envs) if indices is None else np.arange(self.num_envs)[indices].reshape(-1).tolist()
 
     def _observation(self) -> npt.NDArray[np.float32]:
         return np.concatenate([self._cells.observation, self._cells.privileged()], axis=1)
