@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 
 import structlog
+from pydantic import ValidationError
 
 from api.feed import EventFeed
 from api.history import HistoryError, RunHistory
@@ -38,6 +39,7 @@ class Cell:
         self.stopper = stopper
         self.history = history
         self.feed = EventFeed()
+        self.failure: str | None = None
         self._clock = clock
         self._last_state = CellState.UNKNOWN
         self._reconcile = asyncio.Event()
@@ -51,13 +53,17 @@ class Cell:
         return self.client.last_status
 
     async def follow(self) -> None:
-        """Run until cancelled."""
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._follow_statuses())
-            tasks.create_task(self._follow_events(tasks))
-            tasks.create_task(self._watch_state())
-            tasks.create_task(self._reconcile_forever())
-            tasks.create_task(self.history.write_forever())
+        """Run until cancelled. A fault of our own ends it and is kept in `failure`; status and stop go on without it."""
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._follow_statuses())
+                tasks.create_task(self._follow_events(tasks))
+                tasks.create_task(self._watch_state())
+                tasks.create_task(self._reconcile_forever())
+                tasks.create_task(self.history.write_forever())
+        except ExceptionGroup as error:
+            self.failure = f"events and history are not followed any more: {error.exceptions[0]!r}; start this anew"
+            raise
 
     async def wait_alive(self, timeout_s: float) -> bool:
         """Return whether a heartbeat is there within `timeout_s`."""
@@ -102,7 +108,7 @@ class Cell:
     async def _fetch(self, run_id: str) -> None:
         try:
             self.history.put(await self.client.run(run_id))
-        except CellError:
+        except (CellError, ValidationError):
             self._reconcile.set()
 
     async def _watch_state(self) -> None:
@@ -127,7 +133,7 @@ class Cell:
             self._reconcile.clear()
             try:
                 await self._read_ledger()
-            except (CellError, HistoryError) as error:
+            except (CellError, HistoryError, ValidationError) as error:
                 _log.warning("reconcile", error=str(error))
                 await asyncio.sleep(SILENCE_S)
                 self._reconcile.set()

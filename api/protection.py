@@ -6,6 +6,7 @@ request that changes something comes from a page of ours or from no page at all.
 """
 
 import ipaddress
+import logging
 import time
 import uuid
 from collections.abc import Collection
@@ -78,11 +79,15 @@ class Protection:
         try:
             await self._checked(scope, receive, send_protected)
         finally:
-            _log.info(
+            status = answered.get("status", 0)
+            # Pages and probes read several times a second; what they read is no news unless it fails.
+            quiet = scope["method"] in SAFE_METHODS and 0 < status < 400
+            _log.log(
+                logging.DEBUG if quiet else logging.INFO,
                 "request",
                 method=scope["method"],
                 path=scope["path"],
-                status=answered.get("status"),
+                status=status,
                 duration_ms=round(1e3 * (time.perf_counter() - started), 2),
             )
 

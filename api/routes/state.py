@@ -48,6 +48,7 @@ async def _health(runtime: Runtime) -> Health:
         checks["arm"] = "no sample yet"
     elif status.mode == "real_time" and status.measured.sample_age_s > FRESH_SAMPLE_S:
         checks["arm"] = f"no sample for {status.measured.sample_age_s:.1f} s"
+    checks["events"] = runtime.cell.failure or "ok"
     try:
         await runtime.cell.history.check()
     except HistoryError as error:

@@ -109,6 +109,7 @@ def test_its_log_lines_are_json_and_requests_have_ids(config_path: Path, cell: W
     with uvicorn(config_path, port) as process:
         with httpx.Client(base_url=f"http://127.0.0.1:{port}", trust_env=False, timeout=15) as http:
             wait_for_state(process, http, CellState.READY)
+            http.post("/stop")
         process.send_signal(signal.SIGTERM)
         output, _ = process.communicate(timeout=10)
     # What uvicorn says before it has loaded the application is not ours to shape.
