@@ -53,7 +53,7 @@ class Cell:
         return self.client.last_status
 
     async def follow(self) -> None:
-        """Run until cancelled. A fault of our own ends it and is kept in `failure`; status and stop go on without it."""
+        """Run until cancelled. A fault of our own ends it and is kept in `failure`; status and stop go on."""
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._follow_statuses())
