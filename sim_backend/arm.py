@@ -25,8 +25,8 @@ SINGULARITY_MARGIN = 0.05
 """Smallest `kinematics.singularity_margin` at which the arm is still driven."""
 PROTECTIVE_FORCE_N = 150.0
 PROTECTIVE_ERROR_RAD = 0.05
-REST_SPEED = np.array([1e-3, 5e-3])
-"""m/s and rad/s of the reference below which a stop has ended."""
+STOP_S = 0.1
+"""Within it a stop's speed limit falls to zero: long enough to give way to a contact, and noise cannot draw it out."""
 MIN_PROTECTIVE_STOP_S = 5.0
 """An unlock is refused earlier than this, as on a UR controller."""
 
@@ -84,6 +84,7 @@ class ArmController:
         self._pending_quaternion = np.zeros((n, 4))
         self._age = np.zeros(n, np.int64)
         self._halted = np.zeros(n, np.int64)
+        self._max_speed = np.ones((n, 2))
         self._max_age = np.full(n, np.iinfo(np.int64).max)
         self._max_step = np.full((n, 2), np.inf)
         self._workspace = np.tile(np.array([[-np.inf], [np.inf]]), (n, 1, 3))
@@ -127,7 +128,7 @@ class ArmController:
         self.law.stiffness[cells] = np.broadcast_to(stiffness, (len(idle), 6))[idle]
         self.law.damping[cells] = np.broadcast_to(damping, (len(idle), 6))[idle]
         self.law.inertia[cells] = np.broadcast_to(inertia, (len(idle), 6))[idle]
-        self.law.max_speed[cells] = limits.max_speed
+        self.law.max_speed[cells] = self._max_speed[cells] = limits.max_speed
         self._max_step[cells] = limits.max_step
         self._workspace[cells] = limits.workspace
         self._ceiling[cells] = limits.force_ceiling_n
@@ -200,7 +201,7 @@ class ArmController:
         if engaged.all():
             advance(self.law, self.reference, self.target_position, self.target_quaternion, wrench)
         else:
-            self._advance_some(engaged, wrench)
+            self._advance_some(wrench)
         # each arm's own phase, so that what happens to one arm does not reach into another
         due = self._phase == 0
         if due.all():
@@ -253,18 +254,17 @@ class ArmController:
         self.reference.twist[fresh] = 0.0
         self._phase[fresh] = 0
 
-    def _advance_some(self, engaged: npt.NDArray[np.bool_], wrench: Array) -> None:
+    def _advance_some(self, wrench: Array) -> None:
         """The law for arms that are engaged or coming to rest; the others hold their reference."""
         held = (self.program == Program.IDLE) | (self.program == Program.PROTECTIVE_STOP)
+        stopping = self.program == Program.STOPPING
+        left = np.maximum(1.0 - self._halted[stopping] * (TICK_S / STOP_S), 0.0)
+        self.law.max_speed[stopping] = self._max_speed[stopping] * left[:, None]
         kept = self.reference.position[held].copy(), self.reference.quaternion[held].copy()
         advance(self.law, self.reference, self.target_position, self.target_quaternion, wrench)
         self.reference.position[held], self.reference.quaternion[held] = kept
         self.reference.twist[held] = 0.0
-        stopping = self.program == Program.STOPPING
-        speed = np.sqrt((self.reference.twist.reshape(-1, 2, 3) ** 2).sum(2))
-        resting = stopping & (speed < REST_SPEED).all(1) & (self._halted > 2)
-        self.reference.twist[resting] = 0.0
-        self.program[resting] = Program.IDLE
+        self.program[np.flatnonzero(stopping)[left == 0.0]] = Program.IDLE
 
     def _solve(self, cells: Cells) -> None:
         """Bring the joints exactly onto the reference, and refresh the Jacobian's inverse and the payload's sag."""

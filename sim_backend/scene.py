@@ -2,7 +2,8 @@
 
 Frames as in `docs/architecture.md`. The arm's bodies stand in its Denavit–Hartenberg frames, so MuJoCo's joint angles
 are the controller's. The hole is one box slab per wall, each on the outer side of its face: the hole is the
-intersection of the inner half-spaces, exactly, at any clearance. Only the peg touches the block, its floor and the table.
+intersection of the inner half-spaces, exactly, at any clearance. Only the peg touches the block, its floor and the
+table.
 """
 
 from dataclasses import dataclass
@@ -99,6 +100,7 @@ def specify(part_name: str, clearance_m: float) -> mujoco.MjSpec:
     part = PARTS[part_name]
     spec = mujoco.MjSpec()
     spec.modelname = f"dsl-assembly-{part_name}"
+    spec.compiler.degree = False
     option = spec.option
     option.timestep = TICK_S
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -60,7 +60,6 @@ class ForceTorqueSensor:
         # at rest, tool down, for long before the episode begins; the payload's mass is not quite the configured one
         self._average[cell] = episode.bias + episode.wrench_noise[-ZERO_TICKS:].mean(axis=0)
         self._average[cell, 2] += (episode.mass_scale - 1.0) * self._weight
-        self._history[:, cell] = np.nan  # filled by the first reading
         self.raw[cell] = self.wrench[cell] = 0.0
         self.saturated[cell] = False
 
@@ -73,10 +72,11 @@ class ForceTorqueSensor:
         """
         self._slot = (self._slot + 1) % MAX_DELAY
         self._history[self._slot] = carried
+        fresh = self._tick == 0
+        if fresh.any():
+            self._history[:, fresh] = carried[fresh]
         # MuJoCo's reading is one tick old already
         raw = self._history[(self._slot - self._delay + 1) % MAX_DELAY, self._rows]
-        if np.isnan(raw).any():
-            raw = np.where(np.isnan(raw), carried, raw)
         raw += self._noise[self._rows, self._tick % NOISE_ROWS]
         raw += self._bias
         raw += self._drift * self._tick[:, None]

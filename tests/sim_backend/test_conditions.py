@@ -1,0 +1,101 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sim_backend.conditions import NOISE_ROWS, draw
+from sim_backend.protocol.task import Task
+from sim_backend.scene import NOMINAL_HOLE_M
+
+N = 2000
+
+
+@pytest.fixture(scope="module")
+def standard():
+    return [draw(Task(seed, randomise_plant=True)) for seed in range(N)]
+
+
+def column(episodes, name):
+    return np.array([getattr(episode, name) for episode in episodes])
+
+
+def assert_uniform(values, low, high):
+    assert values.min() >= low
+    assert values.max() <= high
+    width = high - low
+    assert values.min() < low + 0.01 * width
+    assert values.max() > high - 0.01 * width
+    assert values.mean() == pytest.approx((low + high) / 2, abs=4 * width / np.sqrt(12 * N))
+
+
+def assert_normal(values, sigma):
+    assert values.mean() == pytest.approx(0.0, abs=4 * sigma / np.sqrt(len(values)))
+    assert values.std() == pytest.approx(sigma, rel=4 / np.sqrt(2 * len(values)))
+
+
+def test_the_hole_lies_anywhere_in_its_box_and_is_turned_either_way(standard):
+    hole = column(standard, "hole_position") - NOMINAL_HOLE_M
+    for axis, half in enumerate((0.050, 0.035, 0.030)):
+        assert_uniform(hole[:, axis], -half, half)
+    assert_uniform(np.rad2deg(column(standard, "hole_yaw")), -60, 60)
+
+
+def test_estimate_and_grasp_are_off_by_their_deviations(standard):
+    offset = column(standard, "estimate_offset")
+    for axis, sigma in enumerate((1.15e-3, 1.15e-3, 0.5e-3)):
+        assert_normal(offset[:, axis], sigma)
+    assert_normal(column(standard, "grasp_offset").ravel(), 0.3e-3)
+    assert_normal(column(standard[:200], "estimate_noise").ravel(), 0.17e-3)
+
+
+def test_the_approach_ends_20_to_30_mm_above_the_estimate(standard):
+    assert_uniform(column(standard, "hover_m"), 0.020, 0.030)
+
+
+def test_the_sensor_is_noisy_biased_drifting_and_late(standard):
+    noise = np.stack([episode.wrench_noise for episode in standard[:20]])
+    assert noise.shape == (20, NOISE_ROWS, 6)
+    assert_normal(noise[..., :3].ravel(), 0.7)
+    assert_normal(noise[..., 3:].ravel(), 0.05)
+    assert_normal(column(standard, "bias")[:, :3].ravel(), 2.0)
+    assert_normal(column(standard, "bias")[:, 3:].ravel(), 0.1)
+    assert_normal(column(standard, "drift")[:, :3].ravel(), 0.02)
+    delay = column(standard, "sensor_delay")
+    assert set(delay) == {1, 2, 3, 4}
+    assert np.bincount(delay)[1:] == pytest.approx([N / 4] * 4, rel=0.2)
+
+
+def test_a_randomised_plant_varies_as_the_standard_conditions_say(standard):
+    assert_uniform(column(standard, "friction"), 0.1, 0.6)
+    assert_uniform(column(standard, "stiffness_scale"), 0.6, 1.4)
+    assert_uniform(column(standard, "mass_scale"), 0.8, 1.2)
+    assert set(column(standard, "target_delay")) == set(range(11))
+
+
+def test_a_plant_that_is_not_randomised_is_nominal_and_changes_nothing_else(standard):
+    varied = {"friction": 0.3, "stiffness_scale": 1.0, "mass_scale": 1.0, "target_delay": 2}
+    for seed in range(20):
+        plain = draw(Task(seed))
+        for field in dataclasses.fields(plain):
+            value = getattr(plain, field.name)
+            if field.name in varied:
+                assert value == varied[field.name]
+            else:
+                assert np.array_equal(value, getattr(standard[seed], field.name))
+
+
+def test_easy_conditions_are_narrower():
+    easy = [draw(Task(seed, conditions="easy")) for seed in range(300)]
+    hole = np.abs(column(easy, "hole_position") - NOMINAL_HOLE_M).max(0)
+    assert (hole <= [0.020, 0.020, 0.010]).all()
+    assert (hole > [0.019, 0.019, 0.0095]).all()
+    assert np.rad2deg(np.abs(column(easy, "hole_yaw")).max()) == pytest.approx(30, abs=1)
+    assert_normal(column(easy, "estimate_offset")[:, :2].ravel(), 0.5e-3)
+    assert_normal(column(easy, "grasp_offset").ravel(), 0.1e-3)
+
+
+def test_the_same_seed_is_the_same_episode_whatever_the_part_and_the_clearance():
+    one, other = draw(Task(7)), draw(Task(7, part="cir", clearance_m=1e-3))
+    for field in dataclasses.fields(one):
+        assert np.array_equal(getattr(one, field.name), getattr(other, field.name))
+    assert not np.array_equal(one.hole_position, draw(Task(8)).hole_position)
