@@ -1,7 +1,6 @@
 """Command line of the benchmarks: run all or some, print the tables, save them."""
 
 import importlib
-import warnings
 from pathlib import Path
 from typing import Annotated, Protocol, cast
 
@@ -39,25 +38,31 @@ def run(
     taken = machine.conditions()
     console.print(", ".join(f"{name} {value}" for name, value in taken.items()), highlight=False)
     results: dict[str, Result] = {}
+    failed = False
     for name in wanted:
         load = machine.load()
         with console.status(f"{name} …"):
-            results[name] = _measure(name, 0.1 if quick else 1.0)
+            results[name], ran = _measure(console, name, 0.1 if quick else 1.0)
+        failed |= not ran
         taken[f"load at {name}"] = load
         report.show(console, name, results[name])
     if not quick:
         for path in report.save(out, taken, results):
             console.print(f"wrote {path}", highlight=False)
+    raise typer.Exit(int(failed))
 
 
-def _measure(name: str, scale: float) -> Result:
+def _measure(console: Console, name: str, scale: float) -> tuple[Result, bool]:
+    """Return the result and whether the benchmark ran without an error of its own."""
     try:
         module = cast("Benchmark", importlib.import_module(f"benchmarks.{name}"))
-        return module.measure(scale)
-    except (UnavailableError, ModuleNotFoundError) as error:
-        return Result(question="", missing=str(error))
+        return module.measure(scale), True
+    except UnavailableError as error:
+        return Result(question="", missing=str(error)), True
+    except Exception as error:  # one that fails must not cost the results of the others
+        console.print_exception()
+        return Result(question="", missing=f"failed: {type(error).__name__}: {error}"), False
 
 
 if __name__ == "__main__":
-    warnings.simplefilter("default")
     typer.run(run)

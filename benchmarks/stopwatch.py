@@ -3,18 +3,36 @@
 import time
 from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import wraps
 from typing import Any
 
 
-@dataclass(slots=True)
 class Stopwatch:
-    """Time and calls so far; `began_s` is `perf_counter` at the first call."""
+    """Begin and end of every call, in seconds of `perf_counter`."""
 
-    spent_s: float = 0.0
-    calls: int = 0
-    began_s: float = 0.0
+    def __init__(self) -> None:
+        self.calls: list[tuple[float, float]] = []
+
+    @property
+    def spans_s(self) -> list[float]:
+        return [end - begin for begin, end in self.calls]
+
+    @property
+    def spent_s(self) -> float:
+        return sum(self.spans_s)
+
+    def split(self, inner: "Stopwatch") -> tuple[list[float], list[float]]:
+        """Return the spans of calls in which `inner` was called, and those of the others."""
+        begins = [begin for begin, _ in inner.calls]
+        within: list[float] = []
+        without: list[float] = []
+        index = 0
+        for begin, end in self.calls:
+            while index < len(begins) and begins[index] < begin:
+                index += 1
+            hit = index < len(begins) and begins[index] < end
+            (within if hit else without).append(end - begin)
+        return within, without
 
 
 @contextmanager
@@ -26,12 +44,10 @@ def timed(owner: type[Any], method: str) -> Generator[Stopwatch]:
     @wraps(original)
     def measured(*args: Any, **kwargs: Any) -> Any:
         begin = time.perf_counter()
-        watch.began_s = watch.began_s or begin
         try:
             return original(*args, **kwargs)
         finally:
-            watch.spent_s += time.perf_counter() - begin
-            watch.calls += 1
+            watch.calls.append((begin, time.perf_counter()))
 
     setattr(owner, method, measured)
     try:
