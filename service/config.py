@@ -284,6 +284,7 @@ def _field(location: tuple[int | str, ...]) -> str:
 def _with_absolute_paths(config: CellConfig, base: Path) -> CellConfig:
     cell = config.cell.model_copy(update={"state_dir": (base / config.cell.state_dir).resolve()})
     recipes = {
-        name: recipe.model_copy(update={"policy": (base / recipe.policy).resolve()}) for name, recipe in config.recipes.items()
+        name: recipe.model_copy(update={"policy": (base / recipe.policy).resolve()})
+        for name, recipe in config.recipes.items()
     }
     return config.model_copy(update={"cell": cell, "recipes": recipes})

@@ -198,6 +198,7 @@ class Cell:
             run = self._end_run(active, ENDED_BY.get(code, RunState.LATCHED), code, text)
         run_id = None if run is None else run.id
         self.journal.set_latch(code, text, run_id, None if run is None else run.peak_force_n)
+        self._tell_state()
         self.journal.tell(EventKind.FAULT, self.state, text, code, run_id)
         if code in LINK_FAULTS:
             self.lose_link(text)
@@ -336,7 +337,7 @@ class Cell:
             self.journal.set_latch(latch.code, latch.text, latch.run_id, latch.peak_force_n)
             return refusal
         self.journal.latch = None
-        self._states.to(CellState.READY)
+        self.enter(CellState.READY)
         by = f" by {request.requested_by}" if request.requested_by else ""
         self.journal.tell(EventKind.RESET, self.state, f"{latch.code} acknowledged{by}", latch.code, latch.run_id)
         return StatusResult(status=self.status())
@@ -398,7 +399,7 @@ class Cell:
     def enter(self, state: CellState) -> None:
         """Change the state and say so."""
         self._states.to(state)
-        self.journal.tell(EventKind.STATE, state, "", run_id=None if self._active is None else self._active.accepted.id)
+        self._tell_state()
 
     def on_tick(self, record: TickRecord) -> None:
         """Hand a policy step's record on."""
@@ -406,7 +407,16 @@ class Cell:
             observer.on_tick(record)
 
     async def _prepare(self, active: ActiveRun, policy: Policy) -> None:
+        try:
+            await self._prepare_world(active, policy)
+        except Exception as error:
+            _log.exception("prepare", run=active.accepted.id)
+            if not active.abandoned:
+                self.halt(FaultCode.INTERNAL, f"{type(error).__name__}: {error}")
+
+    async def _prepare_world(self, active: ActiveRun, policy: Policy) -> None:
         run, recipe = active.accepted, self.config.recipes[active.accepted.recipe]
+        plan = plan_insertion(self.config, recipe, policy.contract)
         self._preparing = True
         failure: DriverError | None = None
         try:
@@ -415,8 +425,8 @@ class Cell:
             failure = error
         finally:
             self._preparing = False
-        ceiling = recipe.force_ceiling_n or self.config.limits.force_ceiling_n
-        self._monitor = self._new_monitor(ceiling)
+        self._monitor = self._new_monitor(plan.limits.force_ceiling_n)
+        self._sample = None
         self._linked_at = self.driver.clock()
         if self.state is CellState.STOPPING:
             self._confirmation = StopConfirmation(self._stop_parameters, self._linked_at)
@@ -426,8 +436,9 @@ class Cell:
             self._active = None
             self._states.to(CellState.READY)
             self._end_run(active, RunState.FAILED, failure.code, str(failure))
+            self._tell_state()
             return
-        active.begin(plan_insertion(self.config, recipe, policy.contract), policy, self._inference_kind)
+        active.begin(plan, policy, self._inference_kind)
 
     def _finish_run(self) -> None:
         active, self._active = self._active, None
@@ -440,6 +451,7 @@ class Cell:
             self._end_run(active, RunState.FAILED, outcome.code, outcome.text)
         else:
             self._end_run(active, RunState.SUCCEEDED, None, "")
+        self._tell_state()
 
     def _end_run(self, active: ActiveRun, state: RunState, code: FaultCode | None, text: str) -> Run:
         run = active.snapshot(self._monitor.peak_force_n, self._samples_clock()).model_copy(
@@ -543,6 +555,10 @@ class Cell:
                 max_gap_s=limits.sample_age_s,
             )
         )
+
+    def _tell_state(self) -> None:
+        run_id = None if self._active is None else self._active.accepted.id
+        self.journal.tell(EventKind.STATE, self.state, "", run_id=run_id)
 
     def _send_telemetry(self, sample: Sample) -> None:
         active = self._active

@@ -81,7 +81,7 @@ class InProcessDriver:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
         for command in self._pending:
-            self._cell.apply(command)
+            self._cell.apply(command[0])
 
     async def _let_time_pass(self) -> None:
         while True:
@@ -95,7 +95,7 @@ class InProcessDriver:
     def _tick(self) -> Sample:
         commands, self._pending = self._pending, []
         for command in commands:
-            self._cell.apply(command)
+            self._cell.apply(command[0])
         record = self._cell.tick()
         self._ticks += 1
         return read_sample(record, self._ticks * wire.TICK_S)

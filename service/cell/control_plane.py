@@ -1,0 +1,176 @@
+"""The cell on Zenoh: commands, queries, and what it publishes. `service/messages.py` has the keys.
+
+Zenoh's threads decode nothing and touch nothing of the cell: they hand each query to the event loop. There a stop is
+carried out in the turn in which it arrives, whatever other queries are waiting for.
+"""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
+
+import structlog
+import zenoh
+from pydantic import ValidationError
+
+from service import messages
+from service.cell.cell import Cell
+from service.cell.records import TickRecord
+from service.messages import (
+    Event,
+    Message,
+    Problem,
+    Reason,
+    Refused,
+    ResetRequest,
+    RunRequest,
+    RunResult,
+    RunsRequest,
+    RunsResult,
+    StartRequest,
+    StatusResult,
+    StopRequest,
+    Telemetry,
+)
+from service.transport import call_in_loop
+
+MAX_REQUEST_BYTES = 16_384
+MAX_OPEN_QUERIES = 64
+"""Requests that may wait for their answer, a stop not counted; more are refused."""
+
+RequestT = TypeVar("RequestT", bound=Message)
+Handler = Callable[[zenoh.Query, bytes], None]
+
+_log = structlog.get_logger("service.control_plane")
+
+
+class ControlPlane:
+    """Serves one cell. Made and used on the cell's event loop.
+
+    Args:
+        cell: what is served; this becomes one of its observers.
+        session: open; the caller closes it, which ends the service.
+    """
+
+    def __init__(self, cell: Cell, session: zenoh.Session) -> None:
+        self._cell = cell
+        self._id = cell.config.cell.id
+        self._loop = asyncio.get_running_loop()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._status = self._publisher(session, messages.STATUS, zenoh.Priority.INTERACTIVE_HIGH)
+        self._event = self._publisher(session, messages.EVENT, zenoh.Priority.DATA)
+        self._telemetry = self._publisher(session, messages.TELEMETRY, zenoh.Priority.DATA_LOW)
+        self._serve(session, messages.STOP, self._on_stop)
+        self._serve(session, messages.START, self._answering(StartRequest, self._start))
+        self._serve(session, messages.RESET, self._answering(ResetRequest, self._reset))
+        self._serve(session, messages.QUERY_STATUS, self._on_status)
+        self._serve(session, messages.QUERY_RUNS, self._answering(RunsRequest, self._runs))
+        self._serve(session, messages.QUERY_RUN, self._answering(RunRequest, self._run))
+        cell.journal.observers.append(self)
+
+    async def publish_status(self) -> None:
+        """Publish the heartbeat until cancelled."""
+        while True:
+            self._put(self._status, self._cell.status())
+            await asyncio.sleep(messages.HEARTBEAT_S)
+
+    # --- as the cell's observer
+
+    def on_event(self, event: Event) -> None:
+        """Publish an event, and the status with it, so that nobody waits a heartbeat for a change."""
+        self._put(self._event, event)
+        self._put(self._status, self._cell.status())
+
+    def on_telemetry(self, point: Telemetry) -> None:
+        """Publish one point."""
+        self._put(self._telemetry, point)
+
+    def on_tick(self, record: TickRecord) -> None:
+        """Telemetry carries what is shown of it."""
+
+    # --- requests
+
+    def _on_stop(self, query: zenoh.Query, payload: bytes) -> None:
+        # Whatever the request says, it means stop: one that cannot be read stops as well.
+        try:
+            request = StopRequest.model_validate_json(payload or b"{}")
+        except ValidationError:
+            request = StopRequest(reason="the request could not be read")
+        self._reply(query, self._cell.stop(request))
+
+    def _on_status(self, query: zenoh.Query, payload: bytes) -> None:
+        self._reply(query, StatusResult(status=self._cell.status()))
+
+    async def _start(self, request: StartRequest) -> Message:
+        return await self._cell.start(request)
+
+    async def _reset(self, request: ResetRequest) -> Message:
+        return await self._cell.reset(request)
+
+    async def _runs(self, request: RunsRequest) -> Message:
+        runs = self._cell.journal.ledger.newest(request.limit, request.before)
+        return RunsResult(runs=tuple(self._cell.find_run(run.id) or run for run in runs))
+
+    async def _run(self, request: RunRequest) -> Message:
+        run = self._cell.find_run(request.run_id)
+        if run is None:
+            return self._refused(Reason.UNKNOWN_RUN, f"no run {request.run_id!r}", "run_id")
+        return RunResult(run=run, created=False)
+
+    def _answering(self, model: type[RequestT], answer: Callable[[RequestT], Awaitable[Message]]) -> Handler:
+        def handle(query: zenoh.Query, payload: bytes) -> None:
+            if len(self._tasks) >= MAX_OPEN_QUERIES:
+                self._reply(query, self._refused(Reason.INTERNAL, "too many requests are waiting: try again"))
+                return
+            try:
+                request = model.model_validate_json(payload or b"{}")
+            except ValidationError as error:
+                first = error.errors()[0]
+                field = ".".join(str(part) for part in first["loc"])
+                self._reply(query, self._refused(Reason.INVALID_REQUEST, f"{field}: {first['msg']}", field))
+                return
+            task = self._loop.create_task(self._carry_out(query, answer(request)))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+        return handle
+
+    async def _carry_out(self, query: zenoh.Query, answer: Awaitable[Message]) -> None:
+        try:
+            message = await answer
+        except Exception as error:
+            _log.exception("request", key=str(query.key_expr))
+            message = self._refused(Reason.INTERNAL, f"{type(error).__name__}: {error}")
+        self._reply(query, message)
+
+    # --- the wire
+
+    def _serve(self, session: zenoh.Session, key: str, handle: Handler) -> None:
+        def on_query(query: zenoh.Query) -> None:
+            payload = b"" if query.payload is None else query.payload.to_bytes()
+            call_in_loop(self._loop, handle, query, payload if len(payload) <= MAX_REQUEST_BYTES else b"too long")
+
+        session.declare_queryable(key.format(cell=self._id), on_query, complete=True)
+
+    def _publisher(self, session: zenoh.Session, key: str, priority: zenoh.Priority) -> zenoh.Publisher:
+        return session.declare_publisher(
+            key.format(cell=self._id),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=priority,
+            express=True,
+        )
+
+    def _put(self, publisher: zenoh.Publisher, message: Message) -> None:
+        try:
+            publisher.put(message.model_dump_json().encode())
+        except zenoh.ZError:
+            self._cell.telemetry_dropped += 1
+
+    def _reply(self, query: zenoh.Query, message: Message) -> None:
+        with query:
+            try:
+                query.reply(query.key_expr, message.model_dump_json().encode(), express=True)
+            except zenoh.ZError as error:
+                _log.warning("reply", key=str(query.key_expr), error=str(error))
+
+    def _refused(self, reason: Reason, detail: str, field: str | None = None) -> Refused:
+        return Refused(problem=Problem(reason=reason, detail=detail, state=self._cell.state, field=field))

@@ -1,0 +1,69 @@
+"""The control process of one cell: puts driver, cell and control plane together, and ends them in the right order."""
+
+import asyncio
+import contextlib
+import signal
+import time
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
+import structlog
+
+from service.cell.cell import Cell
+from service.cell.control_plane import ControlPlane
+from service.cell.realtime import request_realtime
+from service.cell.watch import keep_linked, keep_watch
+from service.config import CellConfig
+from service.drivers.base import Driver
+from service.transport import close_session, open_session
+
+_log = structlog.get_logger("service")
+
+
+@asynccontextmanager
+async def standing(cell: Cell) -> AsyncGenerator[None]:
+    """Keep a cell linked and watched while the context lasts; stop and close it at the end.
+
+    Raises:
+        Exception: whatever ended one of the standing tasks; the arm has been stopped.
+    """
+    tasks = [asyncio.create_task(keep_linked(cell), name="link"), asyncio.create_task(keep_watch(cell), name="watch")]
+    try:
+        yield
+    finally:
+        await cell.close()
+        for task in tasks:
+            task.cancel()
+        for result in await asyncio.gather(*tasks, return_exceptions=True):
+            if isinstance(result, Exception):
+                _log.error("standing task", error=repr(result))
+
+
+async def run(config: CellConfig, driver: Driver) -> None:
+    """Run until SIGTERM or SIGINT; the arm stands when this returns.
+
+    Raises:
+        OSError: the endpoint or the state directory cannot be used.
+    """
+    loop = asyncio.get_running_loop()
+    ended = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    session = await asyncio.to_thread(open_session, listen=[config.cell.endpoint])
+    try:
+        cell = Cell(config, driver, time_of_day=time.time)
+        if driver.mode == "real_time":
+            cell.degradations = request_realtime()
+        for line in cell.degradations:
+            _log.warning("degraded", what=line)
+        plane = ControlPlane(cell, session)
+        async with standing(cell):
+            status = asyncio.create_task(plane.publish_status(), name="status")
+            _log.info("serving", cell=config.cell.id, endpoint=config.cell.endpoint, state=cell.state.value)
+            await ended.wait()
+            _log.info("ending", state=cell.state.value)
+        status.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await status
+    finally:
+        await asyncio.to_thread(close_session, session)

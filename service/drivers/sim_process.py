@@ -1,0 +1,71 @@
+"""Starts the simulator as a process of its own where nothing listens at its endpoint, and ends what was started."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from socket import create_connection
+
+START_S = 30.0
+END_S = 1.0
+POLL_S = 0.05
+
+
+@contextmanager
+def simulator(world: str, endpoint: str, mode: str) -> Generator[bool]:
+    """Have a simulator at `endpoint` while the context lasts.
+
+    Args:
+        world: name in its keys.
+        endpoint: `tcp/host:port`.
+        mode: `real_time` or `lockstep`.
+
+    Yields:
+        Whether it was started here; one that was there before is joined and left running.
+
+    Raises:
+        OSError: it ended at once, or does not listen in time.
+    """
+    if _listens(endpoint):
+        yield False
+        return
+    # Its own session: Ctrl-C reaches the control process alone, which stops the arm before it ends the world.
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "sim_backend", "serve"),
+            *("--world", world, "--mode", mode.replace("_", "-"), "--listen", endpoint),
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        _await_listening(process, endpoint)
+        yield True
+    finally:
+        process.terminate()
+        try:
+            process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _await_listening(process: subprocess.Popen[bytes], endpoint: str) -> None:
+    deadline = time.monotonic() + START_S
+    while not _listens(endpoint):
+        if process.poll() is not None:
+            raise OSError(f"the simulator ended with status {process.returncode}; its reason stands above")
+        if time.monotonic() > deadline:
+            raise OSError(f"the simulator does not listen at {endpoint} after {START_S:g} s")
+        time.sleep(POLL_S)
+
+
+def _listens(endpoint: str) -> bool:
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    try:
+        with create_connection((host.strip("[]"), int(port)), timeout=1.0):
+            return True
+    except (OSError, ValueError):
+        return False
