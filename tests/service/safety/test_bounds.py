@@ -114,6 +114,14 @@ def test_yaw_stays_in_its_range_across_the_seam_at_pi() -> None:
     assert out.yaw_range
 
 
+def test_the_yaw_range_lies_about_its_middle() -> None:
+    limits = replace(LIMITS, yaw_centre_rad=0.4, yaw_half_range_rad=0.5)
+    out = bounded(HERE, 1.0, limits, measured_yaw=0.85, previous_yaw=0.85)
+    assert out.yaw == pytest.approx(0.9)
+    assert out.yaw_range
+    assert not bounded(HERE, -0.05, limits).yaw_range
+
+
 def test_a_full_yaw_range_has_no_seam() -> None:
     limits = replace(LIMITS, yaw_half_range_rad=pi)
     out = bounded(HERE, pi + 0.1, limits, measured_yaw=pi - 0.02, previous_yaw=pi - 0.02)

@@ -18,6 +18,7 @@ def test_a_sensor_with_the_standard_noise_in_free_air_passes() -> None:
 
 def test_too_few_samples_prove_nothing() -> None:
     assert check_wrench(LIMITS, free_air(49)).fault is FaultCode.STALE
+    assert check_wrench(LIMITS, free_air(50)).fault is None
 
 
 def test_a_sample_that_is_not_finite_is_invalid() -> None:

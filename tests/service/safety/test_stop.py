@@ -9,10 +9,11 @@ MOVING = np.array([0, 0, 0.05, 0, 0, 0])
 
 
 def watch(velocities: list[tuple[float, np.ndarray]]) -> StopState:
-    stop = StopConfirmation(LIMITS, 0.0)
+    commanded = 50.0
+    stop = StopConfirmation(LIMITS, commanded)
     state = StopState.WAITING
-    for now, velocity in velocities:
-        state = stop.observe(velocity, now)
+    for after, velocity in velocities:
+        state = stop.observe(velocity, commanded + after)
     return state
 
 
