@@ -23,7 +23,10 @@ def free_port() -> int:
 
 @contextmanager
 def running(
-    *arguments: str, ready: str = READY, environment: Mapping[str, str] | None = None
+    *arguments: str,
+    ready: str = READY,
+    environment: Mapping[str, str] | None = None,
+    lines: list[str] | None = None,
 ) -> Generator[subprocess.Popen[str]]:
     """Run `python -m <arguments>` until the block ends.
 
@@ -31,6 +34,7 @@ def running(
         *arguments: module and its options.
         ready: text of an output line that says that it can be used.
         environment: instead of ours.
+        lines: takes its output.
 
     Yields:
         The process, once it has said so.
@@ -46,7 +50,7 @@ def running(
         stderr=subprocess.STDOUT,
         text=True,
     )
-    lines: list[str] = []
+    lines = [] if lines is None else lines
     seen = threading.Event()
 
     def read() -> None:

@@ -27,7 +27,7 @@ def measure(scale: float) -> Result:
     with running("benchmarks.echo", endpoint):
         session = open_session(connect=[endpoint])
         try:
-            echo = spans(count, _publication_echo(session, payload))
+            echo = spans(count, publication_echo(session, payload))
             until_answered(session, ASK, payload)
             asked = spans(count, lambda: answer(session, ASK, payload))
         finally:
@@ -61,7 +61,8 @@ def measure(scale: float) -> Result:
     )
 
 
-def _publication_echo(session: zenoh.Session, payload: bytes) -> Callable[[], object]:
+def publication_echo(session: zenoh.Session, payload: bytes) -> Callable[[], object]:
+    """Return an exchange with `benchmarks.echo`, both sides acquainted."""
     arrived: queue.SimpleQueue[None] = queue.SimpleQueue()
 
     def back(_: zenoh.Sample) -> None:

@@ -12,7 +12,7 @@ from benchmarks.result import QUANTILES, Result, UnavailableError, median, quant
 from benchmarks.shipped_cell import ShippedCell, shipped_cell
 from benchmarks.stopwatch import timed
 from service.cell.cell import Cell
-from service.cell.watch import keep_linked
+from service.cell.process import standing
 from service.drivers.in_process import InProcessDriver
 from service.messages import CellState, RunResult, StartRequest
 from service.policy.model import Policy
@@ -56,17 +56,13 @@ def measure(scale: float) -> Result:
 
 async def _insert(shipped: ShippedCell, runs: int) -> None:
     cell = Cell(shipped.config, InProcessDriver(SimulatedCell()))
-    link = asyncio.create_task(keep_linked(cell))
-    try:
+    async with standing(cell):
         for seed in range(runs):
             await _until_ready(cell)
             answer = await cell.start(StartRequest(recipe=shipped.recipe, seed=seed))
             if not isinstance(answer, RunResult):
                 raise UnavailableError(f"the run was refused: {answer.problem.detail}")
         await _until_ready(cell)
-    finally:
-        link.cancel()
-        await cell.close()
 
 
 async def _until_ready(cell: Cell) -> None:

@@ -1,0 +1,61 @@
+"""What an operator does, for measurements of the real processes: wait for a state, start, reset."""
+
+import asyncio
+import time
+
+from benchmarks.result import UnavailableError
+from service.client import CellClient, CellRefusedError, CellSilentError
+from service.messages import CellState, ResetRequest, StartRequest
+
+STATE_TIMEOUT_S = 60.0
+POLL_S = 0.005
+
+
+async def until(client: CellClient, *wanted: CellState) -> CellState:
+    """Wait for one of several states.
+
+    Raises:
+        UnavailableError: none of them comes, or the cell latches unasked.
+    """
+    deadline = time.monotonic() + STATE_TIMEOUT_S
+    while client.state not in wanted:
+        status = client.last_status
+        if time.monotonic() > deadline or client.state is CellState.LATCHED:
+            latch = None if status is None else status.latch
+            why = "" if latch is None else f" by {latch.code}: {latch.text}"
+            raise UnavailableError(f"the cell is {client.state}{why}, where {' or '.join(wanted)} was awaited")
+        await asyncio.sleep(POLL_S)
+    return client.state
+
+
+async def start(client: CellClient, recipe: str, seed: int) -> None:
+    """Start a run once the cell is READY.
+
+    Raises:
+        UnavailableError: it is refused.
+    """
+    await until(client, CellState.READY)
+    try:
+        await client.start(StartRequest(recipe=recipe, seed=seed))
+    except CellRefusedError as error:
+        raise UnavailableError(f"the run was refused: {error}") from error
+
+
+async def reset(client: CellClient) -> None:
+    """Reset once the stop is over and the arm at rest.
+
+    Raises:
+        UnavailableError: it stays refused.
+    """
+    await until(client, CellState.LATCHED)
+    deadline = time.monotonic() + STATE_TIMEOUT_S
+    while True:
+        try:
+            await client.reset(ResetRequest())
+        except (CellRefusedError, CellSilentError) as error:
+            if time.monotonic() > deadline:
+                raise UnavailableError(f"the reset was refused: {error}") from error
+            await asyncio.sleep(0.05)
+        else:
+            break
+    await until(client, CellState.READY, CellState.OFFLINE, CellState.CONNECTING)
