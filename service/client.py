@@ -74,7 +74,7 @@ class CellClient:
         self._connect = tuple(connect)
         self._clock = clock
         self._session: zenoh.Session | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None
+        self._presence: asyncio.Task[None] | None = None
         self._status: Status | None = None
         self._heard_at: float | None = None
         self._status_queues: set[asyncio.Queue[Status]] = set()
@@ -92,14 +92,17 @@ class CellClient:
 
     async def open(self) -> None:
         """Open the session and subscribe; returns whether or not the cell is there yet."""
-        self._loop = asyncio.get_running_loop()
         session = await asyncio.to_thread(open_session, connect=self._connect)
         self._session = session
+        self._presence = asyncio.create_task(self._say_present(session), name=f"client of {self._cell}")
         self._subscribe(session, messages.STATUS, Status, self._on_status)
         self._subscribe(session, messages.EVENT, Event, lambda event: _offer(self._event_queues, event))
         self._subscribe(session, messages.TELEMETRY, Telemetry, lambda point: _offer(self._telemetry_queues, point))
 
     async def close(self) -> None:
+        """Close the session; a run that goes by this client's presence is stopped by the cell."""
+        if self._presence is not None:
+            self._presence.cancel()
         session, self._session = self._session, None
         if session is not None:
             await asyncio.to_thread(close_session, session)
@@ -209,6 +212,14 @@ class CellClient:
             yield queue
 
     # --- below the surface
+
+    async def _say_present(self, session: zenoh.Session) -> None:
+        publisher = session.declare_publisher(
+            messages.CLIENT.format(cell=self._cell), congestion_control=zenoh.CongestionControl.DROP, express=True
+        )
+        while True:
+            publisher.put(b"")
+            await asyncio.sleep(messages.CLIENT_HEARTBEAT_S)
 
     def _on_status(self, status: Status) -> None:
         self._status, self._heard_at = status, self._clock()

@@ -141,6 +141,7 @@ class RecipeSection(Section):
         approach_speed_m_s: of the scripted moves.
         max_steps: policy steps before the run fails, where fewer than the policy's own.
         success_depth_m: how far below the surface the peg's bottom must be.
+        retract: whether the tool moves up at the end of a run; else it stays where the run ended.
         conditions: distributions that a simulated world draws from.
     """
 
@@ -156,6 +157,7 @@ class RecipeSection(Section):
     approach_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = 0.08
     max_steps: Annotated[int, Field(ge=1, le=2000)] | None = None
     success_depth_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 3.0e-3
+    retract: bool = True
     conditions: Literal["standard", "easy"] = "standard"
 
 

@@ -11,6 +11,7 @@
 | `status` | publication, `HEARTBEAT_S`, which is also the heartbeat | | `Status` |
 | `event` | publication, as they happen | | `Event` |
 | `telemetry` | publication, about 50 Hz | | `Telemetry` |
+| `client` | subscription: a client is there, every `CLIENT_HEARTBEAT_S` | | anything |
 
 Frames, units and signs are those of `docs/architecture.md`; times of day are seconds since the Unix epoch.
 """
@@ -25,6 +26,8 @@ from service.faults import FaultCode
 SCHEMA_VERSION = 1
 HEARTBEAT_S = 0.05
 """Period of the status publication."""
+CLIENT_HEARTBEAT_S = 0.1
+"""Period in which a client says that it is there."""
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 """Cells and recipes: safe in a key expression, a path and a URL."""
@@ -38,6 +41,7 @@ QUERY_RUN = "cell/{cell}/query/run"
 STATUS = "cell/{cell}/status"
 EVENT = "cell/{cell}/event"
 TELEMETRY = "cell/{cell}/telemetry"
+CLIENT = "cell/{cell}/client"
 
 
 class CellState(StrEnum):

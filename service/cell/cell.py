@@ -6,7 +6,6 @@ before anything is logged, stored, told or awaited.
 
 import asyncio
 import contextlib
-import secrets
 import time
 from collections.abc import Callable, Sequence
 
@@ -14,12 +13,14 @@ import numpy as np
 import structlog
 
 from service.cell import report
+from service.cell.admission import Standing, why_not_reset, why_not_start
 from service.cell.inference import InferenceKind, InlineInference, ThreadInference
 from service.cell.journal import Journal
-from service.cell.plan import plan_insertion
+from service.cell.plan import plan_insertion, plan_monitor
 from service.cell.policies import PolicyRefusedError, PolicyShelf
 from service.cell.records import Fail, TickRecord
 from service.cell.run import ActiveRun
+from service.cell.runs import Runs
 from service.cell.states import WITH_RUN, StateMachine
 from service.config import CellConfig
 from service.drivers.base import Driver, DriverError, Program, Sample, Setup
@@ -41,7 +42,7 @@ from service.messages import (
     StopRequest,
 )
 from service.policy.model import Policy
-from service.safety.monitor import Monitor, MonitorParameters
+from service.safety.monitor import Monitor
 from service.safety.stop import StopConfirmation, StopParameters, StopState
 
 LINK_FAULTS = frozenset({FaultCode.STALE, FaultCode.LINK, FaultCode.SOURCE, FaultCode.PROTOCOL})
@@ -96,13 +97,12 @@ class Cell:
         self.unlinked.set()
         self._inference_kind = inference or (InlineInference if driver.mode == "lockstep" else ThreadInference)
         self._policies = PolicyShelf(config.recipes, driver.tick_s, config.limits.max_stiffness)
-        self._monitor = self._new_monitor(config.limits.force_ceiling_n)
+        self._monitor = Monitor(plan_monitor(config.limits, config.limits.force_ceiling_n))
         self._stop_parameters = StopParameters(
             report.STANDSTILL_M_S, report.STANDSTILL_RAD_S, deadline_s=config.limits.stop_confirm_s
         )
         self._states = StateMachine(CellState.OFFLINE if self.journal.latch is None else CellState.LATCHED)
-        self._active: ActiveRun | None = None
-        self._last_run: Run | None = None
+        self.runs = Runs(self.journal)
         self._run_task: asyncio.Task[None] | None = None
         self._confirmation: StopConfirmation | None = None
         self._preparing = False
@@ -112,6 +112,7 @@ class Cell:
         self._link_text = "not connected yet"
         self._status_seq = 0
         self._samples = self._ignored = self._missed = 0
+        self._client_heard_at = 0.0
 
     @property
     def state(self) -> CellState:
@@ -165,8 +166,8 @@ class Cell:
             self.enter(CellState.READY)
         if self._confirmation is not None:
             self._await_standstill(sample)
-        elif self._active is not None:
-            self._active.on_sample(sample)
+        elif self.runs.active is not None:
+            self.runs.active.on_sample(sample)
         if self._samples % TELEMETRY_TICKS == 0:
             self._send_telemetry(sample)
 
@@ -191,13 +192,11 @@ class Cell:
     def _begin_stop(self, code: FaultCode, text: str) -> None:
         self._states.to(CellState.STOPPING)
         self._confirmation = StopConfirmation(self._stop_parameters, self.driver.clock())
-        active, self._active = self._active, None
-        run = None
-        if active is not None:
-            active.abandon()
-            run = self._end_run(active, ENDED_BY.get(code, RunState.LATCHED), code, text)
+        state = ENDED_BY.get(code, RunState.LATCHED)
+        run = self.runs.end(state, code, text, self._monitor.peak_force_n, self._samples_clock())
         run_id = None if run is None else run.id
         self.journal.set_latch(code, text, run_id, None if run is None else run.peak_force_n)
+        self._tell_run(run)
         self._tell_state()
         self.journal.tell(EventKind.FAULT, self.state, text, code, run_id)
         if code in LINK_FAULTS:
@@ -254,14 +253,25 @@ class Cell:
             self._conclude(self._confirmation.check(now))
         if self.unlinked.is_set():
             return
+        loss = self.config.client_loss
+        if loss.policy == "stop" and self.state in WITH_RUN and now - self._client_heard_at > loss.limit_s:
+            self.halt(FaultCode.CLIENT_LOST, f"no client was heard for {loss.limit_s:g} s")
         overdue = self._monitor.overdue(now)
         if overdue.fault is None or (self._sample is None and now - self._linked_at < FIRST_SAMPLE_S):
             return
         if now - self._linked_at >= self.config.limits.sample_age_s:
             self.halt(overdue.fault, overdue.text)
 
+    def hear_client(self) -> None:
+        """A client has said that it is there; `client_loss` says what its silence means."""
+        self._client_heard_at = self.driver.clock()
+
     def linked(self) -> None:
-        """The driver is connected; READY comes with the first sample."""
+        """The driver is connected; READY comes with the first sample.
+
+        What an earlier process left moving is stopped: nothing that this one did not start goes on.
+        """
+        self.driver.stop()
         self._monitor.reset()
         self._linked_at = self.driver.clock()
         self._sample = None
@@ -284,12 +294,13 @@ class Cell:
 
     async def start(self, request: StartRequest) -> RunResult | Refused:
         """Accept a run, or say why not. The answer comes once the run is on the disk, before anything moves."""
-        if (known := self._find_key(request.idempotency_key)) is not None:
+        if (known := self.runs.find_key(request.idempotency_key)) is not None:
             return RunResult(run=known, created=False)
-        if (refusal := self._why_not_start(request)) is not None:
-            return refusal
+        if (problem := why_not_start(self._standing(), request, self.config, self.driver.simulated)) is not None:
+            return Refused(problem=problem)
+        self.hear_client()
         self.enter(CellState.PREFLIGHT)
-        active = self._active = ActiveRun(self._new_run(request), self.driver, self)
+        active = self.runs.begin(request, self.driver, self)
         self._monitor.clear_peak()
         try:
             policy = await asyncio.to_thread(self._policies.admit, request.recipe)
@@ -305,7 +316,7 @@ class Cell:
             except OSError as error:
                 return self._take_back(active, Reason.STORAGE, f"the run cannot be recorded: {error}")
         if active.abandoned:
-            return RunResult(run=self.journal.ledger.find(active.accepted.id) or active.accepted, created=True)
+            return RunResult(run=self.runs.find(active.accepted.id) or active.accepted, created=True)
         self.journal.tell(EventKind.RUN, self.state, f"accepted, {request.recipe}", run_id=active.accepted.id)
         self._run_task = asyncio.create_task(self._prepare(active, policy), name=f"prepare {active.accepted.id}")
         return RunResult(run=active.accepted, created=True)
@@ -321,8 +332,10 @@ class Cell:
 
     async def reset(self, request: ResetRequest) -> StatusResult | Refused:
         """Acknowledge the latched fault; moves nothing."""
-        if (refusal := self._why_not_reset(request)) is not None:
-            return refusal
+        if (problem := why_not_reset(self._standing(), request, self.config.limits)) is not None:
+            if problem.reason is Reason.WRONG_STATE and self._in_protective_stop:
+                self.driver.unlock()
+            return Refused(problem=problem)
         self._resetting = True
         try:
             await asyncio.wrap_future(self.journal.clear_latch_on_disk())
@@ -333,9 +346,9 @@ class Cell:
         latch = self.journal.latch
         if latch is None:
             return self._refuse(Reason.NOT_LATCHED, "nothing is latched")
-        if (refusal := self._why_not_reset(request)) is not None:
+        if (problem := why_not_reset(self._standing(), request, self.config.limits)) is not None:
             self.journal.set_latch(latch.code, latch.text, latch.run_id, latch.peak_force_n)
-            return refusal
+            return Refused(problem=problem)
         self.journal.latch = None
         self.enter(CellState.READY)
         by = f" by {request.requested_by}" if request.requested_by else ""
@@ -346,9 +359,8 @@ class Cell:
         """What there is to show, by measurement where the arm is concerned."""
         now = self.driver.clock()
         self._status_seq += 1
-        active, sample, config = self._active, self._sample, self.config
-        run = self._last_run if active is None else active.snapshot(self._monitor.peak_force_n, self._samples_clock())
-        blocked = self._why_not_start(None)
+        sample, config = self._sample, self.config
+        blocked = why_not_start(self._standing(), None, self.config, self.driver.simulated)
         return Status(
             cell=config.cell.id,
             service_epoch=self.journal.epoch,
@@ -356,9 +368,9 @@ class Cell:
             time=self.journal.time_of_day(),
             state=self.state,
             can_start=blocked is None,
-            why_not=None if blocked is None else blocked.problem.detail,
+            why_not=None if blocked is None else blocked.detail,
             latch=self.journal.latch,
-            run=run,
+            run=self.runs.current(self._monitor.peak_force_n, self._samples_clock()),
             measured=None if sample is None else report.measured(sample, now),
             driver=self.driver.name,
             mode=self.driver.mode,
@@ -373,12 +385,6 @@ class Cell:
                 loop_overruns=self.overruns,
             ),
         )
-
-    def find_run(self, run_id: str) -> Run | None:
-        """Return a run, live where it is the one under way."""
-        if self._active is not None and self._active.accepted.id == run_id:
-            return self._active.snapshot(self._monitor.peak_force_n, self._samples_clock())
-        return self.journal.ledger.find(run_id)
 
     async def close(self) -> None:
         """Stop, wait for the standstill as long as a stop may take, and release everything."""
@@ -425,7 +431,7 @@ class Cell:
             failure = error
         finally:
             self._preparing = False
-        self._monitor = self._new_monitor(plan.limits.force_ceiling_n)
+        self._monitor = Monitor(plan_monitor(self.config.limits, plan.limits.force_ceiling_n))
         self._sample = None
         self._linked_at = self.driver.clock()
         if self.state is CellState.STOPPING:
@@ -433,135 +439,63 @@ class Cell:
         if active.abandoned:
             return
         if failure is not None:
-            self._active = None
-            self._states.to(CellState.READY)
-            self._end_run(active, RunState.FAILED, failure.code, str(failure))
-            self._tell_state()
+            self._end_run(RunState.FAILED, failure.code, str(failure))
             return
         active.begin(plan, policy, self._inference_kind)
 
     def _finish_run(self) -> None:
-        active, self._active = self._active, None
-        self._states.to(CellState.READY)
-        if active is None:
-            return
-        active.abandon()
-        outcome = active.outcome
+        outcome = None if self.runs.active is None else self.runs.active.outcome
         if isinstance(outcome, Fail):
-            self._end_run(active, RunState.FAILED, outcome.code, outcome.text)
+            self._end_run(RunState.FAILED, outcome.code, outcome.text)
         else:
-            self._end_run(active, RunState.SUCCEEDED, None, "")
+            self._end_run(RunState.SUCCEEDED, None, "")
+
+    def _end_run(self, state: RunState, code: FaultCode | None, text: str) -> None:
+        self._states.to(CellState.READY)
+        self._tell_run(self.runs.end(state, code, text, self._monitor.peak_force_n, self._samples_clock()))
         self._tell_state()
 
-    def _end_run(self, active: ActiveRun, state: RunState, code: FaultCode | None, text: str) -> Run:
-        run = active.snapshot(self._monitor.peak_force_n, self._samples_clock()).model_copy(
-            update={"state": state, "code": code, "text": text, "ended_at": self.journal.time_of_day()}
-        )
-        self._last_run = run
-        self.journal.record(run)
-        self.journal.tell(EventKind.RUN, self.state, f"{state}{': ' if text else ''}{text}", code, run.id)
-        return run
+    def _tell_run(self, run: Run | None) -> None:
+        if run is not None:
+            text = f"{run.state}: {run.text}" if run.text else run.state
+            self.journal.tell(EventKind.RUN, self.state, text, run.code, run.id)
 
     # --- small parts
 
-    def _why_not_start(self, request: StartRequest | None) -> Refused | None:
-        latch = self.journal.latch
-        if latch is not None:
-            return self._refuse(Reason.LATCHED, f"latched by {latch.code}: {latch.text}. Reset it first.", latch.code)
-        if not self._states.allows(CellState.PREFLIGHT):
-            why = (
-                self._link_text if self.state in (CellState.OFFLINE, CellState.CONNECTING) else "wait until it is READY"
-            )
-            return self._refuse(Reason.WRONG_STATE, f"the cell is {self.state}: {why}")
-        if self.journal.fault is not None:
-            return self._refuse(Reason.STORAGE, f"the state directory cannot be written: {self.journal.fault}")
-        if request is None:
-            return None
-        if request.recipe not in self.config.recipes:
-            known = ", ".join(self.config.recipes)
-            return self._refuse(
-                Reason.UNKNOWN_RECIPE, f"no recipe {request.recipe!r}; there are {known}", field="recipe"
-            )
-        if request.seed is not None and not self.driver.simulated:
-            return self._refuse(Reason.INVALID_REQUEST, "a real arm has no seed: leave it out", field="seed")
-        return None
+    def _standing(self) -> Standing:
+        sample = self._sample
+        return Standing(
+            states=self._states,
+            latch=self.journal.latch,
+            link_text=self._link_text if self.unlinked.is_set() or sample is None else None,
+            storage_text=self.journal.fault,
+            sample=sample,
+            sample_age_s=float("inf") if sample is None else self._age_s(sample),
+            force_n=self._monitor.force_n,
+            resetting=self._resetting,
+        )
 
-    def _why_not_reset(self, request: ResetRequest) -> Refused | None:
-        latch = self.journal.latch
-        if latch is None:
-            return self._refuse(Reason.NOT_LATCHED, "nothing is latched; a reset cannot be given in advance")
-        if self.state is not CellState.LATCHED or self._resetting:
-            return self._refuse(Reason.WRONG_STATE, "the stop or another reset is not finished: try again", latch.code)
-        if request.acknowledge is not None and request.acknowledge is not latch.code:
-            return self._refuse(Reason.LATCHED, f"latched is {latch.code}: look at that one", latch.code)
-        sample, limits = self._sample, self.config.limits
-        if sample is None or self._age_s(sample) >= limits.sample_age_s or self.unlinked.is_set():
-            return self._refuse(
-                Reason.NO_MEASUREMENT, f"nothing fresh is measured ({self._link_text}): restore the link", latch.code
-            )
-        if sample.program is Program.PROTECTIVE_STOP:
-            self.driver.unlock()
-            text = "the arm is in its protective stop, its release was asked for: try again in a few seconds"
-            return self._refuse(Reason.WRONG_STATE, text, latch.code)
-        if report.measured(sample, 0.0).moving:
-            return self._refuse(Reason.WRONG_STATE, "the arm is moving", latch.code)
-        force = self._monitor.force_n
-        if force >= limits.force_ceiling_n or sample.saturated:
-            text = f"{force:.1f} N are measured, the ceiling is {limits.force_ceiling_n:g} N: relieve the tool first"
-            return self._refuse(Reason.FORCE_ABOVE_LIMIT, text, latch.code)
-        return None
+    @property
+    def _in_protective_stop(self) -> bool:
+        return self._sample is not None and self._sample.program is Program.PROTECTIVE_STOP
 
-    def _refuse(self, reason: Reason, detail: str, code: FaultCode | None = None, field: str | None = None) -> Refused:
-        return Refused(problem=Problem(reason=reason, detail=detail, code=code, state=self.state, field=field))
+    def _refuse(self, reason: Reason, detail: str) -> Refused:
+        return Refused(problem=Problem(reason=reason, detail=detail, state=self.state))
 
     def _take_back(self, active: ActiveRun, reason: Reason, detail: str) -> RunResult | Refused:
         """Refuse after all, unless a stop came first: then there is a run, and it was stopped."""
         if active.abandoned:
-            return RunResult(run=self.journal.ledger.find(active.accepted.id) or active.accepted, created=True)
-        active.abandon()
-        self._active = None
+            return RunResult(run=self.runs.find(active.accepted.id) or active.accepted, created=True)
+        self.runs.take_back()
         self.enter(CellState.READY)
         return self._refuse(reason, detail)
 
-    def _find_key(self, key: str | None) -> Run | None:
-        if key is None:
-            return None
-        if self._active is not None and self._active.accepted.idempotency_key == key:
-            return self._active.accepted
-        return self.journal.ledger.find_key(key)
-
-    def _new_run(self, request: StartRequest) -> Run:
-        seed = request.seed
-        if seed is None and self.driver.simulated:
-            seed = secrets.randbelow(2**31)
-        return Run(
-            id=f"run-{secrets.token_hex(6)}",
-            recipe=request.recipe,
-            seed=seed,
-            state=RunState.ACTIVE,
-            requested_at=self.journal.time_of_day(),
-            requested_by=request.requested_by,
-            idempotency_key=request.idempotency_key,
-        )
-
-    def _new_monitor(self, force_ceiling_n: float) -> Monitor:
-        limits = self.config.limits
-        return Monitor(
-            MonitorParameters(
-                force_ceiling_n=force_ceiling_n,
-                torque_ceiling_nm=limits.torque_ceiling_nm,
-                stuck_samples=limits.stuck_samples,
-                max_age_s=limits.sample_age_s,
-                max_gap_s=limits.sample_age_s,
-            )
-        )
-
     def _tell_state(self) -> None:
-        run_id = None if self._active is None else self._active.accepted.id
+        run_id = None if self.runs.active is None else self.runs.active.accepted.id
         self.journal.tell(EventKind.STATE, self.state, "", run_id=run_id)
 
     def _send_telemetry(self, sample: Sample) -> None:
-        active = self._active
+        active = self.runs.active
         insertion = None if active is None else active.insertion
         point = report.telemetry(sample, self.state, insertion, None if active is None else active.accepted.id)
         for observer in self.journal.observers:

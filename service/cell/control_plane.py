@@ -65,6 +65,9 @@ class ControlPlane:
         self._serve(session, messages.QUERY_STATUS, self._on_status)
         self._serve(session, messages.QUERY_RUNS, self._answering(RunsRequest, self._runs))
         self._serve(session, messages.QUERY_RUN, self._answering(RunRequest, self._run))
+        session.declare_subscriber(
+            messages.CLIENT.format(cell=self._id), lambda _sample: call_in_loop(self._loop, cell.hear_client)
+        )
         cell.journal.observers.append(self)
 
     async def publish_status(self) -> None:
@@ -108,10 +111,10 @@ class ControlPlane:
 
     async def _runs(self, request: RunsRequest) -> Message:
         runs = self._cell.journal.ledger.newest(request.limit, request.before)
-        return RunsResult(runs=tuple(self._cell.find_run(run.id) or run for run in runs))
+        return RunsResult(runs=runs)
 
     async def _run(self, request: RunRequest) -> Message:
-        run = self._cell.find_run(request.run_id)
+        run = self._cell.runs.find(request.run_id)
         if run is None:
             return self._refused(Reason.UNKNOWN_RUN, f"no run {request.run_id!r}", "run_id")
         return RunResult(run=run, created=False)

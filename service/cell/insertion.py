@@ -173,14 +173,14 @@ class Insertion:
         yield ZeroFt()
 
     def _check(self, sample: Sample) -> Iterator[Order]:
-        elapsed = sample.seq - self._stage_seq
-        if elapsed <= SETTLE_TICKS:
+        if sample.seq - self._stage_seq <= SETTLE_TICKS:
             self._window.clear()
             self._estimates.clear()
             return
         if sample.hole_estimate is not None:
             self._estimates.append(sample.hole_estimate)
-        if elapsed < SETTLE_TICKS + self._plan.preflight.window_samples:
+        # Counted, not timed: a busy transport loses samples now and then
+        if len(self._window) < self._plan.preflight.window_samples:
             return
         plan = self._plan
         verdict = preflight.check_wrench(plan.preflight, np.array(self._window))
@@ -366,8 +366,9 @@ class Insertion:
 
     def _begin_retract(self, sample: Sample | None) -> Iterator[Order]:
         yield Enter(CellState.RETRACT)
-        if sample is None:
+        if sample is None or not self._plan.retract:
             self._stage = Stage.ENDED
+            self._ended_s = None if sample is None else sample.time_s
             yield Disengage()
             return
         top = min(self._hole[2] + self._plan.hover_m, self._plan.limits.workspace[1, 2])

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from service.config import CellConfig, RecipeSection
+from service.config import CellConfig, LimitsSection, RecipeSection
 from service.drivers.base import ComplianceLaw, Limits
 from service.policy.action import ActionMap
 from service.policy.contract import PolicyContract
 from service.policy.observation import ObservationBuilder
 from service.safety.bounds import BoundsParameters
 from service.safety.dsl import DslParameters
+from service.safety.monitor import MonitorParameters
 from service.safety.preflight import PreflightParameters
 
 FloatArray = npt.NDArray[np.float64]
@@ -33,6 +34,7 @@ class Plan:
         lock_samples: newest samples whose mean wrench the lock goes by.
         tick_s: period of the samples.
         success_depth_m: below the surface.
+        retract: whether the tool moves up at the end.
         policy_deadline_s: for one inference.
         clamped_steps: steps in a row with an outrageous action before the cell latches.
         law: compliance while engaged.
@@ -55,6 +57,7 @@ class Plan:
     lock_samples: int
     tick_s: float
     success_depth_m: float
+    retract: bool
     policy_deadline_s: float
     clamped_steps: int
     law: ComplianceLaw
@@ -84,6 +87,7 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         lock_samples=contract.wrench_window_ticks,
         tick_s=contract.tick_s,
         success_depth_m=recipe.success_depth_m,
+        retract=recipe.retract,
         policy_deadline_s=limits.policy_deadline_s,
         clamped_steps=limits.clamped_steps,
         law=ComplianceLaw(
@@ -116,4 +120,15 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         preflight=PreflightParameters(**config.preflight.model_dump()),
         builder=contract.observation_builder(),
         action=contract.action_map(),
+    )
+
+
+def plan_monitor(limits: LimitsSection, force_ceiling_n: float) -> MonitorParameters:
+    """Limits of a sample; the ceiling is the cell's, or a recipe's where that is lower."""
+    return MonitorParameters(
+        force_ceiling_n=force_ceiling_n,
+        torque_ceiling_nm=limits.torque_ceiling_nm,
+        stuck_samples=limits.stuck_samples,
+        max_age_s=limits.sample_age_s,
+        max_gap_s=limits.sample_age_s,
     )

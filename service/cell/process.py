@@ -22,19 +22,16 @@ _log = structlog.get_logger("service")
 
 @asynccontextmanager
 async def standing(cell: Cell) -> AsyncGenerator[None]:
-    """Keep a cell linked and watched while the context lasts; stop and close it at the end.
-
-    Raises:
-        Exception: whatever ended one of the standing tasks; the arm has been stopped.
-    """
-    tasks = [asyncio.create_task(keep_linked(cell), name="link"), asyncio.create_task(keep_watch(cell), name="watch")]
+    """Keep a cell linked and watched while the context lasts; stop and close it at the end."""
+    link = asyncio.create_task(keep_linked(cell), name="link")
+    watch = asyncio.create_task(keep_watch(cell), name="watch")
     try:
         yield
     finally:
+        link.cancel()
         await cell.close()
-        for task in tasks:
-            task.cancel()
-        for result in await asyncio.gather(*tasks, return_exceptions=True):
+        watch.cancel()
+        for result in await asyncio.gather(link, watch, return_exceptions=True):
             if isinstance(result, Exception):
                 _log.error("standing task", error=repr(result))
 

@@ -18,8 +18,6 @@ INITIAL = frozenset({CellState.OFFLINE, CellState.LATCHED})
 """A cell starts LATCHED when the latch on disk is set."""
 WITH_RUN = frozenset({CellState.PREFLIGHT, CellState.APPROACH, CellState.RUNNING, CellState.RETRACT})
 """A run is under way, so a stop in these latches."""
-MOVING = frozenset({CellState.APPROACH, CellState.RUNNING, CellState.RETRACT})
-"""Motion commands may leave in these and in no other."""
 
 
 class IllegalTransitionError(Exception):

@@ -27,6 +27,7 @@ async def keep_linked(cell: Cell) -> None:
             await asyncio.sleep(RECONNECT_S)
         else:
             cell.linked()
+            await asyncio.sleep(RECONNECT_S)  # a link that breaks at once is not tried without pause
 
 
 async def keep_watch(cell: Cell) -> None:

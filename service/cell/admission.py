@@ -1,0 +1,92 @@
+"""Whether a start or a reset is accepted: pure decisions, each with what the asker should do about it."""
+
+from dataclasses import dataclass
+
+from service.cell import report
+from service.cell.states import StateMachine
+from service.config import CellConfig, LimitsSection
+from service.drivers.base import Program, Sample
+from service.messages import CellState, Latch, Problem, Reason, ResetRequest, StartRequest
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How the cell stands when it is asked.
+
+    Attributes:
+        states: its state, and what the table allows.
+        latch: in force.
+        link_text: why nothing is heard of the arm; None while samples come.
+        storage_text: why the disk cannot be relied on; None while it can.
+        sample: the newest.
+        sample_age_s: its age; infinite without one.
+        force_n: resultant of the newest believed sample.
+        resetting: another reset is being written.
+    """
+
+    states: StateMachine
+    latch: Latch | None
+    link_text: str | None
+    storage_text: str | None
+    sample: Sample | None
+    sample_age_s: float
+    force_n: float
+    resetting: bool
+
+    def problem(self, reason: Reason, detail: str, field: str | None = None) -> Problem:
+        """A refusal in this standing."""
+        code = None if self.latch is None else self.latch.code
+        return Problem(reason=reason, detail=detail, code=code, state=self.states.state, field=field)
+
+
+def why_not_start(
+    standing: Standing, request: StartRequest | None, config: CellConfig, simulated: bool
+) -> Problem | None:
+    """Say why a start is refused; None where it is not.
+
+    Args:
+        standing: of the cell.
+        request: None asks whether any start would be accepted.
+        config: of the cell.
+        simulated: whether the arm's world takes a seed.
+    """
+    latch, states = standing.latch, standing.states
+    if latch is not None:
+        return standing.problem(Reason.LATCHED, f"latched by {latch.code}: {latch.text}; reset it first")
+    if not states.allows(CellState.PREFLIGHT):
+        why = standing.link_text or "wait until it is READY"
+        return standing.problem(Reason.WRONG_STATE, f"the cell is {states.state}: {why}")
+    if standing.storage_text is not None:
+        text = f"the state directory cannot be written: {standing.storage_text}"
+        return standing.problem(Reason.STORAGE, text)
+    if request is None:
+        return None
+    if request.recipe not in config.recipes:
+        text = f"no recipe {request.recipe!r}; there are {', '.join(config.recipes)}"
+        return standing.problem(Reason.UNKNOWN_RECIPE, text, "recipe")
+    if request.seed is not None and not simulated:
+        return standing.problem(Reason.INVALID_REQUEST, "a real arm has no seed: leave it out", "seed")
+    return None
+
+
+def why_not_reset(standing: Standing, request: ResetRequest, limits: LimitsSection) -> Problem | None:
+    """Say why a reset is refused; None where it is not."""
+    latch, sample = standing.latch, standing.sample
+    if latch is None:
+        return standing.problem(Reason.NOT_LATCHED, "nothing is latched; a reset cannot be given in advance")
+    if standing.states.state is not CellState.LATCHED or standing.resetting:
+        return standing.problem(Reason.WRONG_STATE, "the stop or another reset is not finished: try again")
+    if request.acknowledge is not None and request.acknowledge is not latch.code:
+        return standing.problem(Reason.LATCHED, f"latched is {latch.code}: look at that one", "acknowledge")
+    if sample is None or standing.link_text is not None or standing.sample_age_s >= limits.sample_age_s:
+        why = standing.link_text or f"the newest sample is {standing.sample_age_s:.3g} s old"
+        return standing.problem(Reason.NO_MEASUREMENT, f"the arm is not measured: {why}; restore the link first")
+    if sample.program is Program.PROTECTIVE_STOP:
+        text = "the arm is in its protective stop; its release was asked for: try again in some seconds"
+        return standing.problem(Reason.WRONG_STATE, text)
+    if report.measured(sample, 0.0).moving:
+        return standing.problem(Reason.WRONG_STATE, "the arm is moving")
+    if standing.force_n >= limits.force_ceiling_n or sample.saturated:
+        text = f"{standing.force_n:.1f} N are measured, the ceiling is {limits.force_ceiling_n:g} N: relieve the tool"
+        return standing.problem(Reason.FORCE_ABOVE_LIMIT, text)
+    return None
