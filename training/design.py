@@ -23,17 +23,17 @@ PECK_PRESS_M = 3e-3
 MAX_STEPS = 110
 
 _SEEN = (
-    ObservationEntry.of("hole_offset_xy", scale=3e-3, clip=4.0, history=4),
-    ObservationEntry.of("height", scale=3e-3, clip=4.0, history=6),
+    ObservationEntry.of("hole_offset_xy", scale=3e-3, clip=4.0, history=8),
+    ObservationEntry.of("height", scale=3e-3, clip=4.0, history=8),
     ObservationEntry.of("contact_height_known"),
-    ObservationEntry.of("yaw", scale=0.6, clip=3.0, history=6),
-    ObservationEntry.of("tilt", scale=0.02, clip=3.0, history=6),
+    ObservationEntry.of("yaw", scale=0.6, clip=3.0, history=8),
+    ObservationEntry.of("tilt", scale=0.02, clip=3.0, history=8),
     ObservationEntry.of("force_mean", scale=5.0, clip=3.0, history=8),
     ObservationEntry.of("torque_mean", scale=0.05, clip=4.0, history=8),
     ObservationEntry.of("force_z_range", scale=5.0, clip=3.0, history=4),
-    ObservationEntry.of("contact_centroid", scale=8e-3, clip=3.0, history=8),
+    ObservationEntry.of("contact_centroid", scale=8e-3, clip=3.0, history=12),
     ObservationEntry.of("lag", scale=(2e-3, 2e-3, 2e-3, 0.1), clip=3.0, history=8),
-    ObservationEntry.of("previous_action", history=8),
+    ObservationEntry.of("previous_action", history=4),
     ObservationEntry.of("lock_height", scale=2e-3, clip=3.0, history=4),
     ObservationEntry.of("phase", history=4),
     ObservationEntry.of("time_fraction"),

@@ -1,5 +1,6 @@
 """How good a policy is: independent episodes, a fixed number per cell, deterministic, on seeds never trained on."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,8 +109,11 @@ def evaluate(
     cells: int = 100,
     threads: int = 0,
     force_ceiling_n: float = 30.0,
+    on_episodes: Callable[[int], object] = lambda _: None,
 ) -> Report:
     """Play `episodes` episodes, seeds from `first_seed` up, one after another in each of `cells` cells.
+
+    `on_episodes` is told how many episodes have ended since the last time.
 
     Every cell plays the same number, whatever becomes of them: a window of time would count fast successes more often.
 
@@ -123,6 +127,7 @@ def evaluate(
     results: list[EpisodeResult] = []
     for begin in range(first_seed, first_seed + episodes, cells):
         results += _round(insertions, policy, [Task(begin + i, part, clearance_m, conditions) for i in range(cells)])
+        on_episodes(cells)
     return Report(clearance_m, conditions, tuple(results))
 
 

@@ -2,15 +2,17 @@
 
 import tempfile
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import onnx
+import onnx.helper
 import torch
 from stable_baselines3 import PPO
 from torch import Tensor, nn
 
-from service.policy.contract import PolicyContract
+from service.policy.contract import EvaluationFigure, PolicyContract
 from service.policy.model import Policy
 from training.network import AsymmetricNetwork
 
@@ -26,10 +28,32 @@ class DeterministicActor(nn.Module):
         super().__init__()
         network = model.policy.mlp_extractor
         assert isinstance(network, AsymmetricNetwork)  # noqa: S101  # `training.learn` builds no other
-        self.normalise, self.actor, self.head = network.normalise, network.actor, model.policy.action_net
+        self.network, self.head = network, model.policy.action_net
 
     def forward(self, observation: Tensor) -> Tensor:
-        return torch.clamp(self.head(self.actor(self.normalise(observation))), -1.0, 1.0)
+        return torch.clamp(self.head(self.network.act_on(observation)), -1.0, 1.0)
+
+
+def contract_of(model: PPO) -> PolicyContract:
+    """Return the contract that a model was trained under; it is saved with the model."""
+    contract = model.policy_kwargs["contract"]
+    assert isinstance(contract, PolicyContract)  # noqa: S101  # `training.learn` builds no other
+    return contract
+
+
+def record_evaluation(path: Path, figures: Sequence[EvaluationFigure]) -> Policy:
+    """Write measured results into a policy's contract, in place of earlier ones of the same conditions.
+
+    The file's hash changes with it.
+
+    Raises:
+        service.policy.model.PolicyError: the service would refuse the file; it is left as it was.
+    """
+    contract = Policy.load(path).contract
+    measured = {(figure.conditions, figure.clearance_m): figure for figure in (*contract.evaluation, *figures)}
+    ordered = sorted(measured.values(), key=lambda figure: (figure.conditions, -figure.clearance_m))
+    document = onnx.load(path)
+    return _write(document, contract.model_copy(update={"evaluation": tuple(ordered)}), path)
 
 
 def export(model: PPO, contract: PolicyContract, path: Path) -> Policy:
@@ -40,7 +64,7 @@ def export(model: PPO, contract: PolicyContract, path: Path) -> Policy:
         service.policy.model.PolicyError: the service would refuse the file.
     """
     actor = DeterministicActor(model).cpu().eval()
-    example = torch.randn(64, contract.observation_size) * actor.normalise.scale
+    example = torch.randn(64, contract.observation_size) * actor.network.normalise.scale
     with tempfile.TemporaryDirectory() as directory, warnings.catch_warnings():
         graph = Path(directory) / "actor.onnx"
         warnings.simplefilter("ignore", DeprecationWarning)  # the exporter that takes its place needs another package
@@ -55,16 +79,27 @@ def export(model: PPO, contract: PolicyContract, path: Path) -> Policy:
             dynamo=False,
         )
         document = onnx.load(graph)
-    for key, value in contract.to_metadata().items():
-        document.metadata_props.add(key=key, value=value)
-    data = document.SerializeToString()
-    policy = Policy(data, source=str(path))
+    policy = Policy(_with_contract(document, contract), source=str(path))
     with torch.no_grad():
         want = actor(example).numpy()
     got, _ = policy.act(example.numpy())
     worst = float(np.abs(got - want).max())
     if worst > AGREEMENT:
         raise ValueError(f"the exported graph differs from the network by {worst:.2g}; nothing written to {path}")
+    return _write(document, contract, path)
+
+
+def _with_contract(document: onnx.ModelProto, contract: PolicyContract) -> bytes:
+    onnx.helper.set_model_props(document, contract.to_metadata())
+    return document.SerializeToString()
+
+
+def _write(document: onnx.ModelProto, contract: PolicyContract, path: Path) -> Policy:
+    """Write the file in one go, once it has loaded as a cell would load it."""
+    data = _with_contract(document, contract)
+    policy = Policy(data, source=str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(data)
+    fresh = path.with_name(path.name + ".new")
+    fresh.write_bytes(data)
+    fresh.replace(path)
     return policy

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from service.policy.contract import PolicyContract
 from service.policy.observation import Measurement
 from service.safety import bounds, dsl
-from service.safety.pose import rotvec_from_yaw, wrap, yaw_and_tilt
+from service.safety.pose import rotate, rotvec_from_yaw, wrap, yaw_and_tilt
 from sim_backend import quaternion
 from sim_backend.arm import Limits
 from sim_backend.protocol import pose
@@ -34,6 +34,8 @@ SUCCESS_DEPTH_M = 2.5e-3
 GOAL_DEPTH_M = 4.0e-3
 """Depth that ends an episode: beyond the deployed cell's criterion, so that a policy has been where that takes it."""
 PRIVILEGED_SIZE = 10
+AIM = slice(2, 6)
+"""Where `Insertions.privileged` says how the peg must move to be right above the hole."""
 LIMITS = Limits()
 
 
@@ -214,33 +216,17 @@ class Insertions:
         world = self.world
         yaw_error = self._yaw_error()
         order = max(self.world.symmetry_order, 1)
+        aim = rotate(world.hole_yaw - np.asarray(pose.yaw_of(world.rotation)), -world.offset)
         return np.column_stack(
             [
                 np.clip(world.offset / 0.01, -3, 3),
-                np.clip((world.hole_position - world.position)[:, :2] / 0.01, -3, 3),
+                np.clip(aim / 5e-3, -3, 3),
                 np.sin(order * yaw_error),
                 np.cos(order * yaw_error),
                 np.clip(world.depth / 0.01, -3, 1),
                 world.clearance / 2e-3,
                 world.friction,
                 self.steps / self.contract.max_steps,
-            ]
-        ).astype(np.float32)
-
-    def aim(self) -> npt.NDArray[np.float32]:
-        """(n, 4) true offset of the hole, tool frame, over 5 mm; sine and cosine of the yaw error times symmetry."""
-        world = self.world
-        delta = (world.hole_position - world.position)[:, :2]
-        yaw = np.asarray(pose.yaw_of(world.rotation))
-        cosine, sine = np.cos(yaw), np.sin(yaw)
-        order = max(self.world.symmetry_order, 1)
-        error = order * self._yaw_error()
-        return np.column_stack(
-            [
-                (cosine * delta[:, 0] + sine * delta[:, 1]) / 5e-3,
-                (cosine * delta[:, 1] - sine * delta[:, 0]) / 5e-3,
-                np.sin(error),
-                np.cos(error),
             ]
         ).astype(np.float32)
 

@@ -1,5 +1,6 @@
 """PPO with stable-baselines3 on the insertions."""
 
+import sys
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -10,10 +11,13 @@ from typing import Any, cast
 import numpy as np
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from tqdm import tqdm
 
 from service.policy.contract import PolicyContract
 from training.episodes import TaskSource
+from training.estimator import EstimatorTraining
 from training.insertion import Insertions
 from training.network import InsertionPolicy
 from training.parallel import ParallelInsertions
@@ -44,10 +48,11 @@ class Recipe:
     hidden: tuple[int, ...] = (256, 256)
     learning_rate: float = 5e-4
     batch: int = 1024
-    epochs: int = 5
+    epochs: int = 8
     gamma: float = 0.99
     gae_lambda: float = 0.95
     entropy: float = 1e-3
+    target_kl: float = 0.03
     initial_log_std: float = -0.5
     reward: RewardName = "potential"
     threads: int = 0
@@ -57,7 +62,7 @@ class Recipe:
 
 
 class Progress(BaseCallback):
-    """Prints one line per rollout and writes checkpoints; `deadline_s` ends the training early."""
+    """Says one line per rollout, into `log.txt` too, and writes checkpoints; `deadline_s` ends the training early."""
 
     def __init__(self, directory: Path, deadline_s: float = float("inf"), every: int = 500_000) -> None:
         super().__init__()
@@ -69,6 +74,16 @@ class Progress(BaseCallback):
         self._recent: deque[dict[str, Any]] = deque(maxlen=500)
         self._simulating = 0.0
         self._rollout_began = 0.0
+        self._done = 0
+        self._bar: tqdm[Any] | None = None
+
+    def _on_training_start(self) -> None:
+        total = int(self.locals["total_timesteps"])
+        self._bar = tqdm(total=total, unit=" steps", unit_scale=True, disable=None)  # none where nobody looks
+
+    def _on_training_end(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
 
     def _on_rollout_start(self) -> None:
         self._rollout_began = time.monotonic()
@@ -81,21 +96,59 @@ class Progress(BaseCallback):
         if recent:
             success = np.mean([r["is_success"] for r in recent])
             peak = np.percentile([r["peak_force"] for r in recent], [50, 99])
-            print(
+            line = (
                 f"{self.num_timesteps:9d} steps {elapsed:6.0f} s {self.num_timesteps / elapsed:6.0f}/s "
                 f"(simulation {self._simulating / elapsed:.0%}) success {success:.3f} "
                 f"steps/episode {np.mean([r['episode']['l'] for r in recent]):5.1f} "
                 f"return {np.mean([r['episode']['r'] for r in recent]):6.2f} "
-                f"peak force {peak[0]:4.1f} / {peak[1]:4.1f} N faults {np.mean([r['fault'] for r in recent]):.3f}",
-                flush=True,
+                f"peak force {peak[0]:4.1f} / {peak[1]:4.1f} N faults {np.mean([r['fault'] for r in recent]):.3f}"
             )
+            tqdm.write(line)
+            sys.stdout.flush()
+            with (self._directory / "log.txt").open("a") as log:
+                log.write(line + "\n")
+        if self._bar is not None:
+            self._bar.update(self.num_timesteps - self._done)
+            self._done = self.num_timesteps
         if self.num_timesteps >= self._next:
             self._next += self._every
-            self.model.save(self._directory / "checkpoint.zip")
+            save(self.model, self._directory / "checkpoint.zip")
 
     def _on_step(self) -> bool:
         self._recent.extend(info for info in self.locals["infos"] if "episode" in info)
         return time.monotonic() - self._begin < self._deadline
+
+
+def save(model: BaseAlgorithm, path: Path) -> None:
+    """Write a model in one go: whoever reads `path` finds the old one or the new one."""
+    fresh = path.with_suffix(".new.zip")
+    model.save(fresh)
+    fresh.replace(path)
+
+
+def build(contract: PolicyContract, tasks: TaskSource, recipe: Recipe) -> PPO:
+    """Make an untrained model and its environment, whose `close` is the caller's."""
+    make = partial(_environment, contract, tasks, recipe)
+    return PPO(
+        InsertionPolicy,
+        make(0) if recipe.workers == 1 else ParallelInsertions(make, recipe.workers),
+        learning_rate=lambda left: recipe.learning_rate * (0.1 + 0.9 * left),
+        n_steps=recipe.rollout,
+        batch_size=recipe.batch,
+        n_epochs=recipe.epochs,
+        gamma=recipe.gamma,
+        gae_lambda=recipe.gae_lambda,
+        ent_coef=recipe.entropy,
+        target_kl=recipe.target_kl,
+        seed=recipe.seed,
+        device=recipe.device,
+        policy_kwargs={
+            "contract": contract,
+            "hidden": list(recipe.hidden),
+            "log_std_init": recipe.initial_log_std,
+            "share_features_extractor": True,
+        },
+    )
 
 
 def learn(
@@ -117,35 +170,22 @@ def learn(
         deadline_s: seconds after which the training ends with what it has.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    make = partial(_environment, contract, tasks, recipe)
-    environment = make(0) if recipe.workers == 1 else ParallelInsertions(make, recipe.workers)
     if recipe.torch_threads:
         torch.set_num_threads(recipe.torch_threads)
-    model = PPO(
-        InsertionPolicy,
-        environment,
-        learning_rate=lambda left: recipe.learning_rate * (0.1 + 0.9 * left),
-        n_steps=recipe.rollout,
-        batch_size=recipe.batch,
-        n_epochs=recipe.epochs,
-        gamma=recipe.gamma,
-        gae_lambda=recipe.gae_lambda,
-        ent_coef=recipe.entropy,
-        seed=recipe.seed,
-        device=recipe.device,
-        policy_kwargs={
-            "contract": contract,
-            "hidden": list(recipe.hidden),
-            "log_std_init": recipe.initial_log_std,
-            "share_features_extractor": True,
-        },
-    )
+    model = build(contract, tasks, recipe)
+    environment = model.get_env()
     if start_from is not None:
         earlier = PPO.load(start_from, device=recipe.device)
         model.set_parameters(cast(Any, earlier.get_parameters()))
-    model.learn(recipe.steps, callback=Progress(directory, deadline_s), progress_bar=False)
-    model.save(directory / "final.zip")
-    environment.close()
+    try:
+        model.learn(recipe.steps, callback=[EstimatorTraining(), Progress(directory, deadline_s)])
+        save(model, directory / "final.zip")
+    except KeyboardInterrupt:
+        save(model, directory / "checkpoint.zip")
+        raise
+    finally:
+        if environment is not None:
+            environment.close()
     return model
 
 

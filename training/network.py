@@ -1,7 +1,8 @@
 """The network: an actor that sees what the cell measures, a critic that may also see what only the simulation knows.
 
 Normalisation belongs to the graph: the actor takes raw physical units, divides by the contract's scales and cuts at its
-clips, in training and in the exported model alike.
+clips, in training and in the exported model alike. An estimator of the hole's pose, taught by `training.estimator`, is
+part of the actor's graph.
 """
 
 from itertools import pairwise
@@ -12,7 +13,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import Tensor, nn
 
 from service.policy.contract import PolicyContract
-from training.insertion import PRIVILEGED_SIZE
+from training.insertion import AIM, PRIVILEGED_SIZE
 
 
 class Normalisation(nn.Module):
@@ -50,7 +51,9 @@ class AsymmetricNetwork(nn.Module):
         super().__init__()
         self.normalise = Normalisation(contract)
         self.seen = len(self.normalise.scale)
-        self.actor = _layers([self.seen, *hidden])
+        aims = AIM.stop - AIM.start
+        self.estimator = nn.Sequential(_layers([self.seen, 256, 128]), nn.Linear(128, aims))
+        self.actor = _layers([self.seen + aims, *hidden])
         self.critic = _layers([self.seen + PRIVILEGED_SIZE, *hidden])
         self.latent_dim_pi = self.latent_dim_vf = hidden[-1]
 
@@ -58,7 +61,12 @@ class AsymmetricNetwork(nn.Module):
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: Tensor) -> Tensor:
-        return self.actor(self.normalise(features[:, : self.seen]))
+        return self.act_on(features[:, : self.seen])
+
+    def act_on(self, observation: Tensor) -> Tensor:
+        """Last hidden layer of the actor, from a raw observation: with the estimate of the hole as a further input."""
+        seen = self.normalise(observation)
+        return self.actor(torch.cat([seen, self.estimator(seen).detach()], dim=1))
 
     def forward_critic(self, features: Tensor) -> Tensor:
         return self.critic(torch.cat([self.normalise(features[:, : self.seen]), features[:, self.seen :]], dim=1))
