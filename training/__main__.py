@@ -173,7 +173,7 @@ def evaluate_command(
     if record:
         _record(model, [report.figure() for report in reports])
     if service:
-        _through_service(model, reports, force_ceiling)
+        _through_service(model, part, reports, force_ceiling)
 
 
 def _record(model: Path, figures: list[EvaluationFigure]) -> None:
@@ -185,12 +185,22 @@ def _record(model: Path, figures: list[EvaluationFigure]) -> None:
     typer.echo(f"recorded in {model}, whose SHA-256 is now {policy.sha256}")
 
 
-def _through_service(model: Path, reports: list[evaluate.Report], force_ceiling_n: float) -> None:
+def _through_service(model: Path, part: Part, reports: list[evaluate.Report], force_ceiling_n: float) -> None:
     from training import through_service
 
     try:
         for report in reports:
-            played = through_service.play(model, report, force_ceiling_n)
+            seeds = [episode.seed for episode in report.episodes]
+            with typer.progressbar(length=len(seeds), label=f"service, {report.clearance_m * 1e3:.2f} mm") as bar:
+                played = through_service.play(
+                    model,
+                    seeds,
+                    report.clearance_m,
+                    part=part,
+                    conditions=report.conditions,
+                    force_ceiling_n=force_ceiling_n,
+                    on_episode=bar.update,
+                )
             typer.echo("\n" + through_service.table(report, played))
     except through_service.ServiceError as error:
         _fail(str(error))
