@@ -34,7 +34,7 @@ EXIT_USAGE = 2
 MARKS = {"SUCCEEDED": "green", "ACTIVE": "blue"}
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-console = Console(highlight=False)
+console = Console(highlight=False, soft_wrap=True)
 
 
 class DemoError(Exception):
@@ -74,8 +74,8 @@ def _demonstrate(*, once: bool, port: int | None, recipe: str | None, seed: int 
         _print_outcome(run)
         if once:
             return 0 if inserted else 1
-        console.print(f"The cell stays up: [bold]http://127.0.0.1:{port}[/]. Ctrl-C ends it.")
         with contextlib.suppress(KeyboardInterrupt):
+            console.print(f"The cell stays up: [bold]http://127.0.0.1:{port}[/]. Ctrl-C ends it.")
             server.wait()
             raise DemoError(f"the server ended by itself with status {server.returncode}; see {log}")
     return 0
@@ -188,7 +188,7 @@ def _insert(server: subprocess.Popen[bytes], http: httpx.Client, recipe: str, se
             if server.poll() is not None:
                 raise DemoError(f"the server ended during the run with status {server.returncode}")
             with contextlib.suppress(httpx.TransportError, json.JSONDecodeError):
-                progress.status = http.get("/status").json()
+                progress.take(http.get("/status").json())
                 run = http.get(where).json()
                 if run["state"] != "ACTIVE" and progress.status["state"] in {"READY", "LATCHED"}:
                     return run
@@ -207,6 +207,12 @@ class Progress:
         self.run_id = run_id
         self.status: dict[str, Any] = {}
         self.frame: dict[str, Any] = {}
+
+    def take(self, status: dict[str, Any]) -> None:
+        """Take in a status; where no terminal shows it live, say each change of state."""
+        if not console.is_terminal and status["state"] != self.status.get("state"):
+            console.print(f"  {status['state']}")
+        self.status = status
 
     def follow_frames(self, base_url: str) -> None:
         """Read the telemetry stream until it ends."""

@@ -102,7 +102,7 @@ function note(event) {
   const line = document.createElement("li");
   const time = document.createElement("time");
   time.textContent = clock(event.time);
-  line.append(time, [event.kind, event.code, event.text || event.state].filter(Boolean).join(" · "));
+  line.append(time, [event.kind, event.text.includes(event.code) ? null : event.code, event.text || event.state].filter(Boolean).join(" · "));
   line.title = line.textContent;
   at("journal").prepend(line);
   while (at("journal").children.length > JOURNAL_SHOWN) at("journal").lastChild.remove();

@@ -1,4 +1,5 @@
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import pytest
 
 from service.config import PATH_VARIABLE
 from service.faults import FaultCode
+from service.messages import CellState, RunState
 from tests.api.wire_cell import WireCell, free_port
 
 ROOT = Path(__file__).parents[2]
@@ -93,3 +95,32 @@ def test_an_unknown_recipe_names_those_that_are_there(with_policy: Path) -> None
     done = demo(with_policy, "--recipe", "cube")
     assert done.returncode == 2
     assert "tr-2mm" in done.stdout
+
+
+def test_it_waits_for_a_reset_inserts_and_stays_up_until_ctrl_c(with_policy: Path, cell: WireCell) -> None:
+    cell.fault(FaultCode.FORCE_CEILING)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "api.demo", "--port", str(free_port())],
+        cwd=ROOT,
+        env=os.environ | {PATH_VARIABLE: str(with_policy)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith("LATCHED"):
+                assert not cell.runs
+                cell.latch, cell.state = None, CellState.READY
+                threading.Thread(target=end_the_run, args=(cell, None), daemon=True).start()
+            if "stays up" in line:
+                break
+        assert cell.runs[0].state is RunState.SUCCEEDED
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=30)
+        assert "Traceback" not in output
+        assert process.returncode == 0
+    finally:
+        process.kill()
+        process.communicate()
