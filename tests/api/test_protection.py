@@ -9,7 +9,6 @@ from api.protection import BODY_LIMIT_BYTES, Protection
 from tests.api.wire_cell import RECIPE, Api, WireCell
 
 
-@pytest.mark.parametrize("path", ["/start", "/stop", "/reset"])
 @pytest.mark.parametrize(
     "headers",
     [
@@ -21,27 +20,24 @@ from tests.api.wire_cell import RECIPE, Api, WireCell
         {"Sec-Fetch-Site": "same-site"},
     ],
 )
-async def test_a_post_from_another_site_is_refused(
-    api: Api, cell: WireCell, path: str, headers: dict[str, str]
-) -> None:
-    response = await api.http.post(path, json={"recipe": RECIPE, "operator": "x"}, headers=headers)
-    assert response.status_code == 403
-    assert response.json()["reason"] == "CROSS_SITE"
+async def test_a_post_from_another_site_is_refused(api: Api, cell: WireCell, headers: dict[str, str]) -> None:
+    for path in ("/start", "/stop", "/reset"):
+        response = await api.http.post(path, json={"recipe": RECIPE, "operator": "x"}, headers=headers)
+        assert response.status_code == 403
+        assert response.json()["reason"] == "CROSS_SITE"
     assert (cell.runs, cell.stops, cell.resets) == ([], [], [])
 
 
 @pytest.mark.parametrize("method", ["GET", "POST"])
-@pytest.mark.parametrize(
-    "host", ["elsewhere.example", "127.0.0.1.elsewhere.example", "127.0.0.1@elsewhere.example", "", "[::1"]
-)
-async def test_a_rebound_name_is_refused(api: Api, method: str, host: str) -> None:
-    response = await api.http.request(method, "/status", headers={"Host": host})
-    assert response.status_code in {400, 421}
+async def test_a_rebound_name_is_refused(api: Api, method: str) -> None:
+    for host in ("elsewhere.example", "127.0.0.1.elsewhere.example", "127.0.0.1@elsewhere.example", "", "[::1"):
+        response = await api.http.request(method, "/status", headers={"Host": host})
+        assert response.status_code in {400, 421}, host
 
 
-@pytest.mark.parametrize("host", ["localhost", "127.0.0.1:8000", "[::1]:8000", "LOCALHOST:1"])
-async def test_the_names_of_this_machine_are_accepted(api: Api, host: str) -> None:
-    assert (await api.http.get("/status", headers={"Host": host})).status_code == 200
+async def test_the_names_of_this_machine_are_accepted(api: Api) -> None:
+    for host in ("localhost", "127.0.0.1:8000", "[::1]:8000", "LOCALHOST:1"):
+        assert (await api.http.get("/status", headers={"Host": host})).status_code == 200, host
 
 
 async def test_the_pages_own_post_is_accepted(api: Api, cell: WireCell) -> None:
