@@ -5,7 +5,7 @@ import time
 
 from benchmarks.result import UnavailableError
 from service.client import CellClient, CellRefusedError, CellSilentError
-from service.messages import CellState, ResetRequest, StartRequest
+from service.messages import CellState, ResetRequest, RunState, StartRequest
 
 STATE_TIMEOUT_S = 60.0
 POLL_S = 0.005
@@ -28,17 +28,30 @@ async def until(client: CellClient, *wanted: CellState) -> CellState:
     return client.state
 
 
-async def start(client: CellClient, recipe: str, seed: int) -> None:
-    """Start a run once the cell is READY.
+async def start(client: CellClient, recipe: str, seed: int) -> str:
+    """Start a run once the cell is READY; return its id.
 
     Raises:
         UnavailableError: it is refused.
     """
     await until(client, CellState.READY)
     try:
-        await client.start(StartRequest(recipe=recipe, seed=seed))
+        return (await client.start(StartRequest(recipe=recipe, seed=seed))).run.id
     except CellRefusedError as error:
         raise UnavailableError(f"the run was refused: {error}") from error
+
+
+async def approach(client: CellClient, recipe: str, seed: int) -> bool:
+    """Start a run and wait until the arm moves; return whether it does, rather than failing its pre-flight."""
+    run_id = await start(client, recipe, seed)
+    while True:
+        status = client.last_status
+        if status is not None and status.run is not None and status.run.id == run_id:
+            if status.run.state is not RunState.ACTIVE:
+                return False
+            if status.state is CellState.APPROACH:
+                return True
+        await asyncio.sleep(POLL_S)
 
 
 async def reset(client: CellClient) -> None:
@@ -51,11 +64,12 @@ async def reset(client: CellClient) -> None:
     deadline = time.monotonic() + STATE_TIMEOUT_S
     while True:
         try:
-            await client.reset(ResetRequest())
+            answered = await client.reset(ResetRequest())
         except (CellRefusedError, CellSilentError) as error:
             if time.monotonic() > deadline:
                 raise UnavailableError(f"the reset was refused: {error}") from error
             await asyncio.sleep(0.05)
         else:
             break
-    await until(client, CellState.READY, CellState.OFFLINE, CellState.CONNECTING)
+    while (heard := client.last_status) is None or heard.seq < answered.seq:  # heartbeats from before are still coming
+        await asyncio.sleep(POLL_S)

@@ -71,7 +71,8 @@ async def _inside(shipped: ShippedCell, count: int) -> list[float]:
         for seed in range(count):
             await _state(cell, CellState.READY)
             await cell.start(StartRequest(recipe=shipped.recipe, seed=seed))
-            await _state(cell, CellState.APPROACH)
+            if await _state(cell, CellState.APPROACH, CellState.READY) is CellState.READY:
+                continue  # its pre-flight failed
             sample = cell.newest_sample
             assert sample is not None  # noqa: S101  # it approaches
             wrench = sample.wrench.copy()
@@ -85,10 +86,11 @@ async def _inside(shipped: ShippedCell, count: int) -> list[float]:
     return taken
 
 
-async def _state(cell: Cell, wanted: CellState) -> None:
+async def _state(cell: Cell, *wanted: CellState) -> CellState:
     async with asyncio.timeout(operating.STATE_TIMEOUT_S):
-        while cell.state is not wanted:
+        while cell.state not in wanted:
             await asyncio.sleep(0)
+    return cell.state
 
 
 def _on_the_wire(shipped: ShippedCell, arguments: tuple[str, ...], count: int) -> list[float]:
@@ -108,8 +110,8 @@ async def _stops(shipped: ShippedCell, count: int) -> list[float]:
     try:
         async with CellClient(shipped.config.cell.id, [shipped.config.cell.endpoint]) as client:
             for seed in range(count):
-                await operating.start(client, shipped.recipe, seed)
-                await operating.until(client, CellState.APPROACH)
+                if not await operating.approach(client, shipped.recipe, seed):
+                    continue
                 await asyncio.sleep(pauses.uniform(0.0, 0.2))
                 answers = await query(session, TRIP, b"", TRIP_TIMEOUT_S)
                 if not answers:
@@ -118,4 +120,6 @@ async def _stops(shipped: ShippedCell, count: int) -> list[float]:
                 await operating.reset(client)
     finally:
         await asyncio.to_thread(close_session, session)
+    if not taken:
+        raise UnavailableError(f"none of {count} runs got through its pre-flight")
     return taken
