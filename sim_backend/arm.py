@@ -30,6 +30,8 @@ STOP_S = 0.1
 MIN_PROTECTIVE_STOP_S = 5.0
 """An unlock is refused earlier than this, as on a UR controller."""
 
+_STEP = kinematics.JOINT_SPEED_RAD_S * TICK_S
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -211,6 +213,9 @@ class ArmController:
         self._phase += 1
         self._phase %= KINEMATICS_TICKS
         rates = np.einsum("nij,nj->ni", self._inverse, self.reference.twist)
+        racing = np.abs(rates) > kinematics.JOINT_SPEED_RAD_S
+        if racing.any():
+            self._brake(racing.any(1), rates)
         self.joints += TICK_S * rates
         return self.joints + self._lead * rates + self._sag
 
@@ -239,6 +244,12 @@ class ArmController:
         if lagging.any():
             self._protect(np.flatnonzero(lagging), StopReason.PROTECTIVE_FORCE)
             self.joints[lagging] = joints[lagging]
+
+    def _brake(self, racing: npt.NDArray[np.bool_], rates: Array) -> None:
+        """A joint faster than it can turn: what a singularity that comes near shows first."""
+        self.stop(np.flatnonzero(racing), StopReason.KINEMATICS)
+        self.reference.twist[racing] = 0.0
+        rates[racing] = 0.0
 
     def _stop(self, cells: Cells, reason: StopReason) -> None:
         self.program[cells] = Program.STOPPING
@@ -289,7 +300,8 @@ class ArmController:
             self.reference.quaternion[cells[held]] = orientation[held]
         turn = quaternion.between(orientation, self.reference.quaternion[cells])
         error = np.concatenate([self.reference.position[cells] - position, turn], axis=1)
-        joints += np.einsum("nij,nj->ni", inverse, error)
+        error -= TICK_S * self.reference.twist[cells]  # the step that follows
+        joints += np.clip(np.einsum("nij,nj->ni", inverse, error), -_STEP, _STEP)
         self.joints[cells] = joints
         mass, centre = self._payload
         lift = kinematics.jacobian(joints, np.array([0.0, 0.0, centre]))[:, 2, :]

@@ -75,7 +75,7 @@ def test_masses_and_centres_are_those_of_the_data_sheet(scenes):
     arm = sum(joint.mass_kg for joint in kinematics.UR3E)
     standing = model.body("block").mass[0]  # fixed to the world: its mass does nothing
     assert model.body_mass.sum() - standing == pytest.approx(arm + scene.PAYLOAD_KG, abs=1e-12)
-    assert scene.PAYLOAD_KG == pytest.approx(0.93)
+    assert pytest.approx(0.93) == scene.PAYLOAD_KG
     assert scene.PAYLOAD_KG < kinematics.PAYLOAD_KG
     q = np.array([0.3, -1.2, 0.9, -0.7, 1.1, 0.2])
     data.qpos[:] = [*q, 0.0]
@@ -86,16 +86,16 @@ def test_masses_and_centres_are_those_of_the_data_sheet(scenes):
         frame = np.eye(4)
         for angle, link in zip(q[: i + 1], kinematics.UR3E[: i + 1], strict=True):
             c, s, ca, sa = np.cos(angle), np.sin(angle), np.cos(link.alpha_rad), np.sin(link.alpha_rad)
-            frame = frame @ np.array(
-                [[c, -s * ca, s * sa, link.a_m * c], [s, c * ca, -c * sa, link.a_m * s], [0, sa, ca, link.d_m], [0, 0, 0, 1]]
-            )  # fmt: skip
+            place = [link.a_m * c, link.a_m * s, link.d_m]
+            turn = np.array([[c, -s * ca, s * sa], [s, c * ca, -c * sa], [0, sa, ca]])
+            frame = frame @ np.vstack([np.column_stack([turn, place]), [0, 0, 0, 1]])
         centre = (frame @ [*joint.com_m, 1.0])[:3]
         assert data.xipos[model.body(f"link{i + 1}").id] == pytest.approx(centre, abs=1e-12)
 
 
 def test_the_payload_that_the_controller_is_told_is_the_payload_that_hangs_there(scenes):
     made, data = scenes("cir")
-    data.qpos[:] = [*joints_for(HOLE + [0, 0, 0.1]), 0.0]
+    data.qpos[:] = [*joints_for([*HOLE, 0, 0, 0.1]), 0.0]
     mujoco.mj_forward(made.model, data)
     ids = [made.gripper_body, made.peg_body]
     centre = np.average(data.xipos[ids], axis=0, weights=made.model.body_mass[ids])
@@ -160,9 +160,9 @@ def test_a_displaced_peg_touches_the_wall_that_it_is_moved_onto_and_no_sooner(sc
     made, data = scenes(part, clearance)
     slack = 5e-6
     for i, normal in enumerate(PARTS[part].wall_normal):
-        free = pose_peg(made, data, HOLE + [*((clearance - slack) * normal), -0.012])
+        free = pose_peg(made, data, [*HOLE, *((clearance - slack) * normal), -0.012])
         assert free == {}
-        touched = pose_peg(made, data, HOLE + [*((clearance + 20e-6) * normal), -0.012])
+        touched = pose_peg(made, data, [*HOLE, *((clearance + 2e-05) * normal), -0.012])
         assert touched[f"wall{i}"] == pytest.approx(-20e-6, abs=slack)
 
 
@@ -191,7 +191,7 @@ def test_a_turned_peg_stands_on_the_top_and_a_centred_one_on_the_floor(scenes, p
 
 def test_a_corner_of_the_triangle_lies_along_the_tools_x_axis(scenes):
     made, data = scenes("tr")
-    pose_peg(made, data, HOLE + [0, 0, 0.05], 0.4)
+    pose_peg(made, data, [*HOLE, 0, 0, 0.05], 0.4)
     geom = made.peg_geom
     mesh = int(made.model.geom_dataid[geom])
     start, count = made.model.mesh_vertadr[mesh], made.model.mesh_vertnum[mesh]
@@ -206,9 +206,9 @@ def test_the_finger_tilts_the_peg_about_the_pads_and_not_further_than_its_range(
     made, data = scenes("tr")
     joint = made.model.joint("finger")
     assert np.rad2deg(joint.range) == pytest.approx([-3, 3])
-    pose_peg(made, data, HOLE + [0, 0, 0.05], finger=0.0)
+    pose_peg(made, data, [*HOLE, 0, 0, 0.05], finger=0.0)
     upright = data.xpos[made.peg_body].copy()
-    pose_peg(made, data, HOLE + [0, 0, 0.05], finger=0.05)
+    pose_peg(made, data, [*HOLE, 0, 0, 0.05], finger=0.05)
     moved = data.xpos[made.peg_body] - upright
     assert np.linalg.norm(moved) == pytest.approx(2 * (scene.PROTRUSION_M + 0.01) * np.sin(0.025), rel=1e-9)
 
