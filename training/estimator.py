@@ -6,6 +6,7 @@ policy's gradient: the policy is handed the estimate as one more observation.
 
 import numpy as np
 import torch
+from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from torch.nn.functional import mse_loss
 
@@ -44,6 +45,7 @@ class EstimatorTraining(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
+        assert isinstance(self.model, PPO)  # noqa: S101  # likewise
         observations = self.model.rollout_buffer.observations
         fresh = observations.reshape(-1, observations.shape[-1])
         kept = self._kept.reshape(-1, fresh.shape[1])[-(CAPACITY - len(fresh)) :]

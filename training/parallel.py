@@ -33,6 +33,7 @@ class ParallelInsertions(VecEnv):
         each, observations, actions = self._pipes[0].recv()
         for pipe in self._pipes[1:]:
             pipe.recv()
+        self.render_mode = None
         super().__init__(each * workers, observations, actions)
         self._each = each
 
