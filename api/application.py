@@ -19,7 +19,7 @@ from api.cell import Cell
 from api.history import RunHistory
 from api.models import Frame
 from api.processes import JOIN_S, CellProcesses
-from api.protection import Protection
+from api.protection import Protection, is_loopback
 from api.routes import commands, page, runs, state, streams
 from api.runtime import Runtime
 from service.client import CellClient
@@ -97,8 +97,13 @@ def create_app(config: CellConfig, path: Path) -> Protection:
         The ASGI application.
 
     Raises:
-        ValueError: `api.database` names a database that is not supported.
+        ValueError: `api.database` names a database that is not supported, or `api.host` is open to other machines
+            without `api.allow_remote`.
     """
+    if not (config.api.allow_remote or is_loopback(config.api.host)):
+        raise ValueError(
+            f"api.host is {config.api.host}: there is no authorisation yet, so listening there needs api.allow_remote"
+        )
     database = config.api.database or f"sqlite+aiosqlite:///{config.cell.state_dir / 'runs.sqlite'}"
     RunHistory.check_url(database)
 

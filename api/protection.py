@@ -106,7 +106,7 @@ class Protection:
     def _refusal(self, scope: Scope) -> tuple[int, str, str] | None:
         headers = Headers(scope=scope)
         server = scope.get("server")
-        if not self._allow_remote and server is not None and not _is_loopback(server[0]):
+        if not self._allow_remote and server is not None and not is_loopback(server[0]):
             return (
                 403,
                 "NOT_LOOPBACK",
@@ -168,7 +168,10 @@ def _hostname(host: str) -> str:
         return ""
 
 
-def _is_loopback(address: str) -> bool:
+def is_loopback(address: str) -> bool:
+    """Return whether an address, or `localhost`, is this machine's own."""
+    if address == "localhost":
+        return True
     try:
         parsed = ipaddress.ip_address(address)
     except ValueError:

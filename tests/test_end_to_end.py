@@ -216,6 +216,26 @@ def test_an_api_that_dies_in_mid_run_ends_no_run_and_the_next_one_joins_and_stop
         assert all(alive(pid) for pid in pids.values()), "what it only joined, it must leave running"
 
 
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
+def test_where_the_loss_of_the_client_is_to_stop_a_run_a_dead_or_frozen_api_stops_it(
+    config_path: Path, end: signal.Signals
+) -> None:
+    text = config_path.read_text().replace('policy = "continue"', 'policy = "stop"\nlimit_s = 0.5')
+    assert "limit_s" in text
+    config_path.write_text(text)
+    with server(config_path, "first") as first:
+        first.wait("READY")
+        run_id = start(first)
+        first.wait_running(run_id)
+        first.process.send_signal(end)
+        with server(config_path, "second") as second:
+            status = second.wait("LATCHED")
+            assert status["latch"]["code"] == "CLIENT_LOST"
+            assert status["measured"]["moving"] is False
+            assert ended(second, run_id)["state"] == "STOPPED"
+        first.process.kill()
+
+
 def test_a_dead_control_process_is_unknown_and_a_stop_says_that_it_reached_nobody(config_path: Path) -> None:
     with server(config_path) as api:
         api.wait("READY")

@@ -93,6 +93,15 @@ def test_a_configuration_with_a_wrong_limit_names_the_field(config_path: Path) -
     assert "Traceback" not in output
 
 
+def test_an_open_host_is_refused_without_the_setting_that_allows_it(config_path: Path) -> None:
+    config_path.write_text(config_path.read_text().replace("[api]", '[api]\nhost = "192.0.2.7"'))
+    with uvicorn(config_path, free_port()) as process:
+        output, _ = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "api.allow_remote" in output
+    assert "Traceback" not in output
+
+
 def test_a_port_in_use_is_said_without_a_trace(config_path: Path, cell: WireCell) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
