@@ -73,7 +73,7 @@ def test_the_joints_are_the_inverse_kinematics_of_the_reference_along_a_path(pac
     position = START.copy()
     for step in range(round(200 / pace)):
         angle = 0.06 * pace * step
-        position = [*START, 0.05 * np.sin(angle), 0.04 * (1 - np.cos(angle)), -0.03 * np.sin(0.5 * angle)]
+        position = START + np.array([0.05 * np.sin(angle), 0.04 * (1 - np.cos(angle)), -0.03 * np.sin(0.5 * angle)])
         turn = pose.rotation_from_rotvec([0.1 * np.sin(angle), 0.1 * np.sin(2 * angle), 0.3 * np.sin(angle)])
         rotation = turn @ pose.tool_down(0.0)
         assert bench.target(position, quaternion.from_rotvec(pose.rotvec_from_rotation(rotation[None]))).all()
@@ -92,7 +92,7 @@ def test_the_joints_are_the_inverse_kinematics_of_the_reference_along_a_path(pac
 
 def test_at_rest_the_joints_are_exactly_on_the_target():
     bench = Bench(limits=Limits(target_age_s=10.0))
-    target = [*START, 0.005, -0.003, 0.004]
+    target = START + np.array([0.005, -0.003, 0.004])
     bench.target(target)
     bench.run(1500)
     assert bench.position[0] == pytest.approx(target, abs=1e-7)
@@ -100,7 +100,7 @@ def test_at_rest_the_joints_are_exactly_on_the_target():
 
 def test_idle_arms_ignore_targets_and_forces():
     bench = Bench(engage=False)
-    assert not bench.target([*START, 0.01, 0, 0]).any()
+    assert not bench.target(START + np.array([0.01, 0, 0])).any()
     bench.wrench[:] = 20.0
     bench.run(50)
     assert bench.position[0] == pytest.approx(START, abs=1e-9)
@@ -110,8 +110,8 @@ def test_idle_arms_ignore_targets_and_forces():
 @pytest.mark.parametrize(
     ("position", "orientation"),
     [
-        ([*START, 0.0, 0.0, -0.2], DOWN),
-        ([*START, 0.0125, 0.0, 0.0], DOWN),
+        (START + np.array([0.0, 0.0, -0.2]), DOWN),
+        (START + np.array([0.0125, 0.0, 0.0]), DOWN),
         ([np.nan, 0.0, 0.2], DOWN),
         ([np.inf, 0.0, 0.2], DOWN),
         (START, np.full((1, 4), np.nan)),
@@ -144,15 +144,15 @@ def test_every_wall_of_the_workspace_is_a_limit():
 def test_the_step_limit_counts_from_a_target_that_still_waits():
     bench = Bench(delay=10, limits=Limits(max_step=(0.004, 0.3)))
     for k in range(1, 4):
-        assert bench.target([*START, 0.003 * k, 0, 0]).all()
-    assert not bench.target([*START, 0.003 * 3 + 0.005, 0, 0]).any()
+        assert bench.target(START + np.array([0.003 * k, 0, 0])).all()
+    assert not bench.target(START + np.array([0.003 * 3 + 0.005, 0, 0])).any()
 
 
 @pytest.mark.parametrize("delay", [0, 1, 5, 10])
 def test_a_target_takes_effect_exactly_its_delay_later(delay):
     bench = Bench(delay=delay)
     bench.run(3)
-    bench.target([*START, 0.004, 0, 0])
+    bench.target(START + np.array([0.004, 0, 0]))
     ticks = 0
     while bench.arm.reference.position[0, 0] == START[0] or bench.arm.target_position[0, 0] == START[0]:
         bench.run(1)
@@ -187,7 +187,7 @@ def test_a_stop_ends_in_time_whatever_the_noise_and_the_arm_stays(noise):
     bench = Bench(limits=Limits(max_speed=(0.25, 2.0)))
     rng = np.random.default_rng(0)
     for k in range(20):
-        bench.target([*START, 0.004 * (k + 1), 0, 0])
+        bench.target(START + np.array([0.004 * (k + 1), 0, 0]))
         bench.run(10)
     assert np.linalg.norm(bench.arm.reference.twist[0, :3]) > 0.1
     bench.arm.stop(ONLY, StopReason.COMMAND)
@@ -218,14 +218,14 @@ def test_a_stopped_program_obeys_no_target_until_it_is_engaged_again():
     bench = Bench()
     bench.arm.stop(ONLY, StopReason.COMMAND)
     assert not bench.arm.engage(ONLY, STIFFNESS, DAMPING, INERTIA, Limits()).any()  # not while it moves
-    assert not bench.target([*START, 0.01, 0, 0]).any()
+    assert not bench.target(START + np.array([0.01, 0, 0])).any()
     bench.run(60)
-    assert not bench.target([*START, 0.01, 0, 0]).any()
+    assert not bench.target(START + np.array([0.01, 0, 0])).any()
     assert bench.arm.engage(ONLY, STIFFNESS, DAMPING, INERTIA, Limits()).all()
     assert bench.state == (Program.ENGAGED, StopReason.NONE)
     bench.run(50)
     assert bench.position[0] == pytest.approx(START, abs=1e-9)
-    assert bench.target([*START, 0.01, 0, 0]).all()
+    assert bench.target(START + np.array([0.01, 0, 0])).all()
     bench.run(300)
     assert bench.position[0, 0] > START[0] + 0.009
 
@@ -242,7 +242,7 @@ def test_the_arm_stops_before_the_elbow_is_straight_and_stands():
     bench = Bench(limits=free)
     position, fastest = START.copy(), 0.0
     for _ in range(100):
-        position = [*position, 0.008, 0.0, 0.0]
+        position = position + np.array([0.008, 0.0, 0.0])
         if not bench.target(position).all():
             break
         for _ in range(40):
@@ -308,7 +308,7 @@ def test_a_fault_of_one_arm_does_not_reach_into_another():
     pair, alone = Bench(2), Bench()
     for k in range(15):
         for bench in (pair, alone):
-            bench.target([*START, 0.003 * k, 0.002 * k, 0])
+            bench.target(START + np.array([0.003 * k, 0.002 * k, 0]))
         if k == 7:
             pair.joints[1, 2] += 1.0  # a protective stop, out of step with everything
         pair.run(7)
@@ -319,7 +319,7 @@ def test_a_fault_of_one_arm_does_not_reach_into_another():
 
 def test_arms_placed_at_different_times_keep_their_own_time():
     pair, alone = Bench(2), Bench()
-    pair.target([*START, 0.01, 0, 0])
+    pair.target(START + np.array([0.01, 0, 0]))
     pair.run(KINEMATICS_TICKS + 7)
     pair.joints[1] = joints_at(START)
     pair.arm.place(np.array([1]), pair.joints[1:], np.zeros(1, np.int64))

@@ -95,7 +95,7 @@ def test_masses_and_centres_are_those_of_the_data_sheet(scenes):
 
 def test_the_payload_that_the_controller_is_told_is_the_payload_that_hangs_there(scenes):
     made, data = scenes("cir")
-    data.qpos[:] = [*joints_for([*HOLE, 0, 0, 0.1]), 0.0]
+    data.qpos[:] = [*joints_for(HOLE + np.array([0, 0, 0.1])), 0.0]
     mujoco.mj_forward(made.model, data)
     ids = [made.gripper_body, made.peg_body]
     centre = np.average(data.xipos[ids], axis=0, weights=made.model.body_mass[ids])
@@ -160,9 +160,9 @@ def test_a_displaced_peg_touches_the_wall_that_it_is_moved_onto_and_no_sooner(sc
     made, data = scenes(part, clearance)
     slack = 5e-6
     for i, normal in enumerate(PARTS[part].wall_normal):
-        free = pose_peg(made, data, [*HOLE, *((clearance - slack) * normal), -0.012])
+        free = pose_peg(made, data, HOLE + np.array([*((clearance - slack) * normal), -0.012]))
         assert free == {}
-        touched = pose_peg(made, data, [*HOLE, *((clearance + 2e-05) * normal), -0.012])
+        touched = pose_peg(made, data, HOLE + np.array([*((clearance + 2e-05) * normal), -0.012]))
         assert touched[f"wall{i}"] == pytest.approx(-20e-6, abs=slack)
 
 
@@ -191,7 +191,7 @@ def test_a_turned_peg_stands_on_the_top_and_a_centred_one_on_the_floor(scenes, p
 
 def test_a_corner_of_the_triangle_lies_along_the_tools_x_axis(scenes):
     made, data = scenes("tr")
-    pose_peg(made, data, [*HOLE, 0, 0, 0.05], 0.4)
+    pose_peg(made, data, HOLE + np.array([0, 0, 0.05]), 0.4)
     geom = made.peg_geom
     mesh = int(made.model.geom_dataid[geom])
     start, count = made.model.mesh_vertadr[mesh], made.model.mesh_vertnum[mesh]
@@ -206,9 +206,9 @@ def test_the_finger_tilts_the_peg_about_the_pads_and_not_further_than_its_range(
     made, data = scenes("tr")
     joint = made.model.joint("finger")
     assert np.rad2deg(joint.range) == pytest.approx([-3, 3])
-    pose_peg(made, data, [*HOLE, 0, 0, 0.05], finger=0.0)
+    pose_peg(made, data, HOLE + np.array([0, 0, 0.05]), finger=0.0)
     upright = data.xpos[made.peg_body].copy()
-    pose_peg(made, data, [*HOLE, 0, 0, 0.05], finger=0.05)
+    pose_peg(made, data, HOLE + np.array([0, 0, 0.05]), finger=0.05)
     moved = data.xpos[made.peg_body] - upright
     assert np.linalg.norm(moved) == pytest.approx(2 * (scene.PROTRUSION_M + 0.01) * np.sin(0.025), rel=1e-9)
 

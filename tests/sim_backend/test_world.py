@@ -227,7 +227,7 @@ def script(world, ticks):
     """A rough insertion by dead reckoning, in contact most of the time."""
     cells = np.arange(world.n)
     turn = world.hole_yaw + 0.1
-    target = [*world.hole_position, 0.001, -0.001, 0.002]
+    target = world.hole_position + np.array([0.001, -0.001, 0.002])
     place(world, target, turn)
     world.zero_ft(cells)
     world.engage(cells, *LAW, FREE)
@@ -236,7 +236,7 @@ def script(world, ticks):
     for tick in range(ticks):
         if tick % 20 == 0:
             phase = 0.05 * tick
-            world.arm.set_target(cells, [*target, 0.001 * np.sin(phase), 0.0, -2e-05 * tick], facing)
+            world.arm.set_target(cells, target + np.array([0.001 * np.sin(phase), 0.0, -2e-05 * tick]), facing)
         world.tick()
         record.append(np.concatenate([world.joints, world.sensor.raw, world.sensor.wrench, world.estimate], axis=1))
     return np.stack(record, axis=1)
@@ -296,7 +296,7 @@ def test_friction_holds_a_pressed_peg_against_a_sideways_force_up_to_its_cone():
         pressed = move(world, [0.0, 0.0, 0.0], 0.01)[0, 2]
         held = world.arm.target_position.copy()
         sideways = 0.3 * pressed / LAW[0][0]
-        world.arm.set_target(np.array([0]), [*held, [0.0, sideways, 0.0]], world.arm.target_quaternion)
+        world.arm.set_target(np.array([0]), held + np.array([0.0, sideways, 0.0]), world.arm.target_quaternion)
         hold(world, 500)
         moved = abs(world.position[0, 1] - before[1][0, 1])
         assert (moved > 0.5 * sideways) == slides, (friction, moved, sideways)
@@ -306,7 +306,9 @@ def test_a_stop_brings_the_measured_arm_to_rest_and_it_stays():
     world = prepare(4, above=0.06, limits=Limits(target_age_s=60.0, max_speed=(0.25, 1.0)))
     cells = np.arange(4)
     for _ in range(10):
-        world.arm.set_target(cells, [*world.arm.target_position, 0.0, 0.006, 0.0], world.arm.target_quaternion)
+        world.arm.set_target(
+            cells, world.arm.target_position + np.array([0.0, 0.006, 0.0]), world.arm.target_quaternion
+        )
         hold(world, 30)
     assert (np.linalg.norm(world.twist[:, :3], axis=1) > 0.05).all()
     world.stop(cells)
