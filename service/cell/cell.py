@@ -212,7 +212,11 @@ class Cell:
             return
         if sample.program is Program.ENGAGED and self._samples % STOP_AGAIN_TICKS == 0:
             self.driver.stop()
-        self._conclude(self._confirmation.observe(sample.tcp_velocity, sample.arrival_s))
+        if sample.program in (Program.ENGAGED, Program.STOPPING):
+            # Standing still is not enough while the arm's program could go on
+            self._conclude(self._confirmation.check(sample.arrival_s))
+        else:
+            self._conclude(self._confirmation.observe(sample.tcp_velocity, sample.arrival_s))
 
     def _conclude(self, stop: StopState) -> None:
         if stop is StopState.WAITING or self._confirmation is None:

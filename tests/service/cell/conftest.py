@@ -1,0 +1,91 @@
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.cell.inference import InlineInference
+from service.drivers.base import Driver
+from service.faults import FaultCode
+from service.messages import CellState, Run
+from service.testing import Bench, cell_config, lockstep_cell
+from tests.service.cell import policies
+from tests.service.cell.faulty_driver import FaultyDriver, speed
+
+EASY = 1872
+"""A seed of the easy conditions whose hole is where the camera says and turned by next to nothing."""
+
+
+@dataclass
+class FaultyBench:
+    """A cell whose driver can be spoilt."""
+
+    bench: Bench
+    driver: FaultyDriver
+    state_dir: Path
+
+    async def running(self, seed: int = EASY, steps: int = 5) -> Run:
+        """Start a run and let the policy take some steps."""
+        run = await self.bench.start(seed)
+        await self.bench.until(lambda: len(self.bench.records) >= steps)
+        return run
+
+    async def assert_latched(self, run: Run, code: FaultCode) -> Run:
+        """Assert what LATCH(code) means, in the motion and in the record."""
+        bench, driver = self.bench, self.driver
+        stopped_at = driver.said("stop")[-1] if bench.cell.state is CellState.LATCHED else None
+        await bench.state(CellState.LATCHED)
+        first_stop = min(time_s for time_s in driver.said("stop") if time_s >= self._fault_time(run))
+        assert [t for t in driver.said("target") if t > first_stop] == [], "no motion command follows the stop"
+        assert stopped_at is None or stopped_at >= first_stop
+        latch = bench.cell.journal.latch
+        assert latch is not None
+        assert latch.code is code
+        assert latch.run_id == run.id
+        ended = bench.cell.runs.find(run.id)
+        assert ended is not None
+        assert ended.code is code
+        assert driver.truth is not None
+        resting = driver.truth.tcp_position
+        await bench.let_pass(0.3)
+        assert speed(driver.truth) < 2e-3
+        assert np.abs(driver.truth.tcp_position - resting).max() < 2e-4, "the arm stands, by measurement"
+        return ended
+
+    def _fault_time(self, run: Run) -> float:
+        return max(0.0, self.driver.said("engage")[-1] if self.driver.said("engage") else 0.0)
+
+
+FaultyCell = Callable[..., Any]
+
+
+@pytest.fixture
+def faulty_cell(tmp_path: Path) -> FaultyCell:
+    """Cells whose driver can be spoilt: `async with faulty_cell() as faulty`."""
+
+    @asynccontextmanager
+    async def make(
+        policy: Path | None = None,
+        *,
+        real_time: bool = False,
+        limits: dict[str, Any] | None = None,
+        inference: Any = InlineInference,
+        **recipe: Any,
+    ) -> AsyncIterator[FaultyBench]:
+        drivers: list[FaultyDriver] = []
+
+        def wrap(driver: Driver) -> FaultyDriver:
+            faulty = FaultyDriver(driver)
+            faulty.real_time = real_time
+            drivers.append(faulty)
+            return faulty
+
+        recipe.setdefault("conditions", "easy")
+        config = cell_config(tmp_path / "state", policy or policies.straight(tmp_path), limits, **recipe)
+        async with lockstep_cell(config, wrap=wrap, inference=inference) as bench:
+            yield FaultyBench(bench, drivers[0], tmp_path / "state")
+
+    return make

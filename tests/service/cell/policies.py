@@ -1,0 +1,41 @@
+"""Small real policies: ONNX files whose answer is a linear function of a few observations."""
+
+from pathlib import Path
+
+import numpy as np
+
+from service.policy.contract import ObservationEntry, PolicyContract
+from tests.service.policy.model_files import contract, linear_model
+from training.design import LAW, LOCK
+
+OBSERVATION = (
+    ObservationEntry.of("hole_offset_xy", scale=1e-3),
+    ObservationEntry.of("height", scale=0.01),
+    ObservationEntry.of("force_mean", scale=5.0),
+)
+EASY_SEED = 0
+"""A seed of the easy conditions whose hole is where the camera says and turned by next to nothing."""
+
+
+def document(**changes: object) -> PolicyContract:
+    return contract(**({"observation": OBSERVATION, "compliance": LAW, "dsl": LOCK} | changes))
+
+
+def save(path: Path, model: object) -> Path:
+    path.write_bytes(model.SerializeToString())  # type: ignore[attr-defined]
+    return path
+
+
+def still(folder: Path, **changes: object) -> Path:
+    """Asks for nothing: the lock's own search brings it down to the block."""
+    asked = document(**changes)
+    weights = np.zeros((asked.observation_size, len(asked.action)))
+    return save(folder / "still.onnx", linear_model(asked, weights=weights))
+
+
+def straight(folder: Path, **changes: object) -> Path:
+    """Goes where the camera says that the hole is, and down: enough where the camera is right and the yaw is."""
+    asked = document(**changes)
+    weights = np.zeros((asked.observation_size, len(asked.action)))
+    weights[0, 0] = weights[1, 1] = 500.0
+    return save(folder / "straight.onnx", linear_model(asked, weights=weights))

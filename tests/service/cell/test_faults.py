@@ -1,0 +1,450 @@
+"""One test per fault that a cell must survive, by what the arm does and what the record says."""
+
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.cell.inference import ThreadInference
+from service.drivers.base import Program, Sample, StopReason
+from service.faults import FaultCode
+from service.messages import CellState, Reason, Refused, ResetRequest, RunState, StatusResult
+from service.policy.model import Policy
+from service.testing import cell_config, lockstep_cell
+from tests.service.cell import policies
+from tests.service.cell.conftest import EASY, FaultyBench, FaultyCell
+from tests.service.cell.faulty_driver import Spoil, speed, with_wrench
+
+TICK_S = 0.002
+
+
+def once(spoil: Spoil) -> Spoil:
+    """Spoil one sample, pass the others on."""
+    done: list[bool] = []
+
+    def maybe(sample: Sample) -> Sequence[Sample]:
+        if done:
+            return [sample]
+        done.append(True)
+        return spoil(sample)
+
+    return maybe
+
+
+async def spoil_and_time(faulty: FaultyBench, spoil: Spoil) -> float:
+    """Spoil the next sample; return when, by the driver's clock."""
+    faulty.driver.spoil = spoil
+    return faulty.driver.clock()
+
+
+@pytest.mark.parametrize("axis", ["fx", "fy", "fz"])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+async def test_01_force_ceiling_crossed_on_one_sample_force_ceiling(
+    faulty_cell: FaultyCell, axis: str, sign: float
+) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        at = await spoil_and_time(faulty, once(lambda sample: [with_wrench(sample, **{axis: sign * 30.5})]))
+        ended = await faulty.assert_latched(run, FaultCode.FORCE_CEILING)
+        assert ended.peak_force_n >= 30.5
+        stop = next(time_s for time_s in faulty.driver.said("stop") if time_s > at)
+        assert stop <= at + 1.5 * TICK_S, "the stop leaves within the tick of the sample"
+
+
+async def test_03_a_step_between_two_policy_ticks_trips_on_the_sample_force_ceiling(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        steps = len(faulty.bench.records)
+        await faulty.bench.let_pass(0.02)
+        assert len(faulty.bench.records) == steps, "a policy step has 80 ms, this is in the middle of one"
+        at = await spoil_and_time(faulty, once(lambda sample: [with_wrench(sample, fz=45.0)]))
+        await faulty.assert_latched(run, FaultCode.FORCE_CEILING)
+        assert next(time_s for time_s in faulty.driver.said("stop") if time_s > at) <= at + 1.5 * TICK_S
+        assert len(faulty.bench.records) == steps
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), float("-inf")])
+async def test_04_nan_in_one_channel_sensor_invalid(faulty_cell: FaultyCell, bad: float) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        await spoil_and_time(faulty, lambda sample: [with_wrench(sample, ty=bad)])
+        await faulty.bench.let_pass(0.01)
+        faulty.driver.spoil = lambda sample: [sample]
+        await faulty.assert_latched(run, FaultCode.SENSOR_INVALID)
+        assert all(np.isfinite(record.observation).all() for record in faulty.bench.records)
+
+
+async def test_05_frozen_samples_with_fresh_stamps_sensor_stuck(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        frozen = faulty.driver.truth.wrench.copy()
+        at = await spoil_and_time(faulty, lambda sample: [replace(sample, wrench=frozen)])
+        await faulty.bench.state(CellState.STOPPING)
+        faulty.driver.spoil = lambda sample: [sample]
+        await faulty.assert_latched(run, FaultCode.SENSOR_STUCK)
+        stop = next(time_s for time_s in faulty.driver.said("stop") if time_s > at)
+        assert stop <= at + faulty.bench.cell.config.limits.stuck_samples * TICK_S
+
+
+async def test_06_a_saturated_sensor_counts_as_above_the_ceiling_force_ceiling(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        await spoil_and_time(faulty, once(lambda sample: [replace(sample, saturated=True)]))
+        await faulty.assert_latched(run, FaultCode.FORCE_CEILING)
+
+
+async def test_11_samples_stop_stale_at_the_age_limit(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell(real_time=True) as faulty:
+        run = await faulty.running()
+        await spoil_and_time(faulty, lambda sample: [])
+        last = faulty.bench.cell.newest_sample.arrival_s
+        await faulty.bench.state(CellState.STOPPING)
+        stop = next(time_s for time_s in faulty.driver.said("stop") if time_s > last)
+        limit = faulty.bench.cell.config.limits.sample_age_s
+        assert abs(stop - (last + limit)) <= 1.01 * TICK_S
+        await faulty.bench.state(CellState.LATCHED)
+        assert "no standstill was measured" in faulty.bench.cell.journal.latch.text
+        assert faulty.bench.cell.journal.latch.code is FaultCode.STALE
+        assert faulty.bench.cell.runs.find(run.id).code is FaultCode.STALE
+        assert speed(faulty.driver.truth) < 2e-3, "it stands, though the cell cannot see it"
+        answer = await faulty.bench.cell.reset(ResetRequest())
+        assert isinstance(answer, Refused)
+        assert answer.problem.reason is Reason.NO_MEASUREMENT
+
+
+async def test_12_latency_jumps_to_100_ms_stale(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell(real_time=True) as faulty:
+        run = await faulty.running()
+        late: list[Sample] = []
+
+        def delay(sample: Sample) -> Sequence[Sample]:
+            late.append(sample)
+            return [replace(late.pop(0), arrival_s=sample.arrival_s)] if len(late) > 50 else []
+
+        await spoil_and_time(faulty, delay)
+        await faulty.bench.state(CellState.LATCHED)
+        assert faulty.bench.cell.runs.find(run.id).code is FaultCode.STALE
+        assert speed(faulty.driver.truth) < 2e-3
+
+
+async def test_13_duplicates_and_older_samples_are_ignored(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        before: list[Sample] = [faulty.driver.truth]
+
+        def repeat(sample: Sample) -> Sequence[Sample]:
+            before.append(sample)
+            return [sample, sample, before[-2]]
+
+        await spoil_and_time(faulty, repeat)
+        ended = await faulty.bench.ended(run)
+        assert ended.state is RunState.SUCCEEDED
+        assert faulty.bench.cell.status().counters.samples_ignored > 1000
+
+
+async def test_13_duplicates_do_not_refresh_the_age_stale(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell(real_time=True) as faulty:
+        run = await faulty.running()
+        held = faulty.driver.truth
+        await spoil_and_time(faulty, lambda sample: [replace(held, arrival_s=sample.arrival_s)])
+        await faulty.bench.state(CellState.LATCHED)
+        assert faulty.bench.cell.runs.find(run.id).code is FaultCode.STALE
+
+
+async def test_14_the_arms_clock_steps_back_and_nothing_depends_on_it(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        await spoil_and_time(faulty, lambda sample: [replace(sample, time_s=sample.time_s - 5.0)])
+        await faulty.bench.let_pass(0.5)
+        assert faulty.bench.cell.journal.latch is None
+        assert (await faulty.bench.ended(run)).state is RunState.SUCCEEDED
+
+
+async def test_15_what_the_driver_cannot_read_protocol(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell(real_time=True) as faulty:
+        run = await faulty.running()
+        faulty.driver.on_link_fault(FaultCode.PROTOCOL, "17 bytes are not a state")
+        await faulty.assert_latched(run, FaultCode.PROTOCOL)
+
+
+async def test_21_a_source_that_comes_back_as_another_is_not_resumed_link(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell(real_time=True, limits={"sample_age_s": 0.5, "target_age_s": 1.0}) as faulty:
+        run = await faulty.running()
+        await spoil_and_time(faulty, lambda sample: [])
+        await faulty.bench.let_pass(0.45)
+        await spoil_and_time(faulty, lambda sample: [replace(sample, epoch=sample.epoch + 1)])
+        await faulty.bench.state(CellState.LATCHED)
+        assert faulty.bench.cell.runs.find(run.id).code in (FaultCode.LINK, FaultCode.SOURCE, FaultCode.STALE)
+        targets = len(faulty.driver.said("target"))
+        await faulty.bench.let_pass(1.0)
+        assert faulty.bench.cell.state is CellState.LATCHED
+        assert len(faulty.driver.said("target")) == targets
+
+
+async def test_22_two_publishers_source(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell(real_time=True) as faulty:
+        run = await faulty.running()
+        await spoil_and_time(faulty, once(lambda sample: [sample, replace(sample, epoch=sample.epoch + 1)]))
+        await faulty.assert_latched(run, FaultCode.SOURCE)
+
+
+async def test_22_a_world_laid_out_anew_under_a_run_source(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell(real_time=True) as faulty:
+        run = await faulty.running()
+        await spoil_and_time(faulty, once(lambda sample: [replace(sample, episode=sample.episode + 1)]))
+        await faulty.assert_latched(run, FaultCode.SOURCE)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+async def test_24_policy_answers_nan_policy_invalid(
+    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch, bad: float
+) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        sent = len(faulty.driver.said("target"))
+        whole = Policy.act
+        monkeypatch.setattr(Policy, "act", lambda self, *given: (np.full_like(whole(self, *given)[0], bad), None))
+        await faulty.assert_latched(run, FaultCode.POLICY_INVALID)
+        assert len(faulty.driver.said("target")) == sent, "nothing of it was sent"
+
+
+async def test_25_actions_times_100_are_clamped_then_latch_bounds(
+    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        before, whole = len(faulty.bench.records), Policy.act
+
+        def times_100(policy: Policy, *given: np.ndarray) -> tuple[np.ndarray, None]:
+            action, _ = whole(policy, *given)
+            return 100.0 * np.where(np.abs(action) > 0.2, action, 1.0), None
+
+        monkeypatch.setattr(Policy, "act", times_100)
+        await faulty.assert_latched(run, FaultCode.BOUNDS)
+        wild = faulty.bench.records[before:]
+        limits = faulty.bench.cell.config.limits
+        assert len(wild) == limits.clamped_steps
+        previous = faulty.bench.records[before - 1].target.position
+        for record in wild:
+            assert np.linalg.norm(record.target.position - previous) <= limits.max_step_m + 1e-12
+            assert np.abs(record.displacement).max() < 0.2
+            previous = record.target.position
+
+
+async def test_26_inference_that_hangs_policy_deadline_while_the_monitor_goes_on(
+    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    release = threading.Event()
+    limits = {"policy_deadline_s": 0.25, "target_age_s": 0.5}
+    async with faulty_cell(inference=ThreadInference, limits=limits) as faulty:
+        hung = Policy.act
+
+        def hang(policy: Policy, *given: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+            release.wait(30.0)
+            return hung(policy, *given)
+
+        run = await faulty.bench.start(EASY)
+        monkeypatch.setattr(Policy, "act", hang)
+        await faulty.bench.state(CellState.RUNNING)
+        samples = faulty.bench.cell.status().counters.samples
+        sent = len(faulty.driver.said("target"))
+        ended = await faulty.assert_latched(run, FaultCode.POLICY_DEADLINE)
+        assert ended.steps == 0
+        assert len(faulty.driver.said("target")) == sent, "it held"
+        assert faulty.bench.cell.status().counters.samples - samples > 100
+        release.set()
+        await faulty.bench.let_pass(0.2)
+        assert len(faulty.driver.said("target")) == sent, "an answer that comes after the stop is dropped"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda data: b"", "CORRUPT"),
+        (lambda data: data[: len(data) // 2], "CORRUPT"),
+        (lambda data: b"\0" * (17 * 2**20), "TOO_LARGE"),
+        (None, "UNREADABLE"),
+    ],
+    ids=["empty", "half", "oversized", "missing"],
+)
+async def test_29_a_broken_policy_refuses_its_recipe_and_the_cell_is_well(
+    tmp_path: Path, spoil: object, reason: str
+) -> None:
+    policy = policies.still(tmp_path)
+    if callable(spoil):
+        policy.write_bytes(spoil(policy.read_bytes()))
+    else:
+        policy.unlink()
+    async with lockstep_cell(cell_config(tmp_path / "state", policy)) as bench:
+        with pytest.raises(AssertionError, match=f"POLICY_REFUSED: {reason}"):
+            await bench.start()
+        assert bench.cell.state is CellState.READY
+        assert bench.cell.journal.latch is None
+        assert bench.cell.journal.ledger.newest(10) == ()
+
+
+async def test_27_a_contract_that_does_not_fit_is_refused_with_the_mismatch(tmp_path: Path) -> None:
+    policy = policies.still(tmp_path, parts=("cir",))
+    async with lockstep_cell(cell_config(tmp_path / "state", policy)) as bench:
+        with pytest.raises(AssertionError, match="trained for cir, the cell assembles tr"):
+            await bench.start()
+        assert bench.cell.state is CellState.READY
+
+
+async def test_28_a_policy_replaced_on_disk_runs_on_and_is_refused_next_time(
+    faulty_cell: FaultyCell, tmp_path: Path
+) -> None:
+    policy = policies.straight(tmp_path)
+    async with faulty_cell(policy) as faulty:
+        run = await faulty.running()
+        policy.write_bytes(policies.still(tmp_path).read_bytes())
+        assert (await faulty.bench.ended(run)).state is RunState.SUCCEEDED
+        with pytest.raises(AssertionError, match=r"POLICY_REFUSED.*was replaced"):
+            await faulty.bench.start()
+        assert faulty.bench.cell.state is CellState.READY
+
+
+async def test_30_a_target_that_jumps_is_rejected_by_the_arm_bounds(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        record = faulty.bench.records[-1]
+        jump = replace(record.target, position=record.target.position + np.array([0.02, 0.0, 0.0]))
+        before = faulty.driver.truth.tcp_position
+        faulty.driver.send_target(jump)
+        await faulty.assert_latched(run, FaultCode.BOUNDS)
+        assert np.abs(faulty.driver.truth.tcp_position - before).max() < 5e-3, "it did not go there"
+
+
+async def test_31_the_arm_cannot_follow_kinematics(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+
+        def stopped(sample: Sample) -> Sequence[Sample]:
+            return [replace(sample, program=Program.STOPPING, stop_reason=StopReason.KINEMATICS)]
+
+        await spoil_and_time(faulty, once(stopped))
+        await faulty.assert_latched(run, FaultCode.KINEMATICS)
+
+
+async def test_33_a_protective_stop_latches_here_too_protective_stop(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        await spoil_and_time(faulty, once(lambda sample: [replace(sample, program=Program.PROTECTIVE_STOP)]))
+        await faulty.assert_latched(run, FaultCode.PROTECTIVE_STOP)
+
+
+async def test_35_control_of_the_arm_is_lost_authority(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        await spoil_and_time(faulty, once(lambda sample: [replace(sample, robot_mode=5)]))
+        await faulty.assert_latched(run, FaultCode.AUTHORITY)
+
+
+async def test_touching_something_at_the_start_fails_the_run_unmoved_contact_at_start(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        faulty.driver.spoil = lambda sample: [with_wrench(sample, fz=sample.wrench[2] + 5.0)]
+        run = await faulty.bench.insert(EASY)
+        assert (run.state, run.code) == (RunState.FAILED, FaultCode.CONTACT_AT_START)
+        assert faulty.driver.said("engage") == []
+        assert faulty.bench.cell.state is CellState.READY
+
+
+async def test_43_a_reset_while_the_force_is_above_the_limit_is_refused(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        faulty.driver.spoil = lambda sample: [with_wrench(sample, fx=40.0 + sample.wrench[0])]
+        await faulty.bench.state(CellState.LATCHED)
+        answer = await faulty.bench.cell.reset(ResetRequest())
+        assert isinstance(answer, Refused)
+        assert answer.problem.reason is Reason.FORCE_ABOVE_LIMIT
+        assert faulty.bench.cell.state is CellState.LATCHED
+        faulty.driver.spoil = lambda sample: [sample]
+        await faulty.bench.let_pass(0.05)
+        assert isinstance(await faulty.bench.cell.reset(ResetRequest()), StatusResult)
+        assert faulty.bench.cell.runs.find(run.id).code is FaultCode.FORCE_CEILING
+
+
+async def test_45_the_arm_accepts_a_stop_and_moves_on_stop_unconfirmed(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        faulty.driver.deaf_to_stop = True
+        run = await faulty.bench.start(EASY)
+        await faulty.bench.state(CellState.APPROACH)
+        await faulty.bench.let_pass(0.2)
+        at = faulty.driver.clock()
+        await spoil_and_time(faulty, once(lambda sample: [with_wrench(sample, fz=35.0)]))
+        await faulty.bench.state(CellState.LATCHED)
+        latch = faulty.bench.cell.journal.latch
+        assert latch.code is FaultCode.STOP_UNCONFIRMED
+        assert "FORCE_CEILING" in latch.text
+        assert faulty.bench.cell.runs.find(run.id).code is FaultCode.FORCE_CEILING
+        asked = [time_s for time_s in faulty.driver.said("stop") if time_s > at]
+        assert len(asked) > 20, "it is asked again and again"
+        faulty.driver.deaf_to_stop = False
+        faulty.driver.stop()
+
+
+async def test_53_a_control_process_that_died_leaves_its_run_interrupted_and_the_cell_latched(tmp_path: Path) -> None:
+    config = cell_config(tmp_path / "state", policies.still(tmp_path))
+    async with lockstep_cell(config) as bench:
+        run = await bench.start()
+        image = {path.name: path.read_bytes() for path in (tmp_path / "state").iterdir()}
+    (tmp_path / "after").mkdir()
+    for name, content in image.items():
+        (tmp_path / "after" / name).write_bytes(content)
+    async with lockstep_cell(cell_config(tmp_path / "after", policies.still(tmp_path))) as bench:
+        assert bench.cell.state is CellState.LATCHED
+        assert bench.cell.journal.latch.code is FaultCode.INTERRUPTED
+        assert bench.cell.runs.find(run.id).state is RunState.INTERRUPTED
+
+
+async def test_54_power_cycle_while_latched_starts_latched(faulty_cell: FaultyCell, tmp_path: Path) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        await spoil_and_time(faulty, once(lambda sample: [with_wrench(sample, fz=45.0)]))
+        await faulty.assert_latched(run, FaultCode.FORCE_CEILING)
+    config = cell_config(tmp_path / "state", policies.straight(tmp_path), conditions="easy")
+    async with lockstep_cell(config) as bench:
+        assert bench.cell.state is CellState.LATCHED
+        assert bench.cell.journal.latch.code is FaultCode.FORCE_CEILING
+        with pytest.raises(AssertionError, match="refused, LATCHED"):
+            await bench.start()
+        assert isinstance(await bench.cell.reset(ResetRequest()), StatusResult)
+    async with lockstep_cell(config) as bench:
+        assert bench.cell.state is CellState.READY
+
+
+async def test_51_a_disk_that_refuses_writes_refuses_starts_and_stops_work(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        faulty.bench.cell.journal.ledger._file.close()
+        with pytest.raises(AssertionError, match="STORAGE"):
+            await faulty.bench.start()
+        assert faulty.driver.said("engage") == []
+        with pytest.raises(AssertionError, match="STORAGE"):
+            await faulty.bench.start()
+
+
+async def test_an_error_of_ours_in_the_loop_stops_and_latches_internal(
+    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+
+        def fail(*_: object) -> None:
+            raise ZeroDivisionError("ours")
+
+        monkeypatch.setattr("service.safety.dsl.step", fail)
+        ended = await faulty.assert_latched(run, FaultCode.INTERNAL)
+        assert "ZeroDivisionError" in ended.text
+
+
+async def test_an_idle_cell_that_hears_nothing_is_offline_and_comes_back_by_itself(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell(real_time=True) as faulty:
+        faulty.driver.spoil = lambda sample: []
+        await faulty.bench.state(CellState.OFFLINE, CellState.CONNECTING)
+        assert not faulty.bench.cell.status().can_start
+        assert faulty.bench.cell.journal.latch is None
+        faulty.driver.spoil = lambda sample: [sample]
+        await faulty.bench.state(CellState.READY)
