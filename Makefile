@@ -9,6 +9,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3)
 VENV ?= .venv
 PORT ?= 8000
 ONCE ?=
+MODEL ?= models/triangle-vftm.onnx
 BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.installed-runtime
 TRAINING := $(VENV)/.installed-training
@@ -85,11 +86,11 @@ docs-check: $(DEV) ## links between documents, and the documents that must exist
 # --- training and measurements --------------------------------------------------------------------------------------
 
 .PHONY: train evaluate benchmark
-train: $(TRAINING) ## train the shipped policy anew (ARGS="--help" tells the options)
-	$(BIN)/python -m training train $(ARGS)
+train: $(TRAINING) ## train a policy for the triangle (ARGS="NAME --steps 2000000 ..."; ARGS=--help)
+	$(BIN)/python -m training train $(or $(ARGS),triangle --workers $(shell nproc) --threads 1)
 
-evaluate: $(TRAINING) ## success over fresh seeds, with intervals (ARGS="--help")
-	$(BIN)/python -m training evaluate $(ARGS)
+evaluate: $(TRAINING) ## success over fresh seeds, with intervals (ARGS="MODEL --episodes 500 ..."; ARGS=--help)
+	$(BIN)/python -m training evaluate $(or $(ARGS),$(MODEL))
 
-benchmark: $(TRAINING) ## measure, print the table, save it in benchmarks/results/ (ARGS="--help")
+benchmark: $(TRAINING) ## measure, print the tables, save them in benchmarks/results/ (ARGS=--help)
 	$(BIN)/python -m benchmarks $(ARGS)

@@ -13,9 +13,12 @@ from sim_backend.protocol.wire import TICK_S
 from training.design import vftm_dsl
 from training.episodes import TaskSource
 from training.insertion import Insertions
+from training.parallel import ParallelInsertions
+from training.vector import InsertionVecEnv
 
 CELLS = 256
 TARGET = 0.7
+WARM_UP = 20
 
 
 @dataclass(slots=True)
@@ -48,6 +51,8 @@ def measure(scale: float) -> Result:
         )
         for (cells, threads), spent in runs.items()
     )
+    if cores > 1:
+        rows += (_workers(cores, steps, runs[CELLS, cores]),)
     ratios = ", ".join(f"{s.raw_s / s.steps_s:.2f} with {c} cells on {t}" for (c, t), s in runs.items())
     return Result(
         question="How much of raw `Batch.step` does the training environment keep?",
@@ -68,8 +73,42 @@ def measure(scale: float) -> Result:
             "step raw, controls held, once in one call and once tick by tick. k/s: thousands of ticks per second, "
             f"a tick being {TICK_S * 1e3:g} ms of one cell. physics: share of `Batch.step` in the environment's step; "
             "the rest is law and sensor at every tick, lock, bounds and observation at every step. "
-            "steps/s: policy steps, resets included."
+            "steps/s: policy steps, resets included. The row of workers is several environments of one thread each, in "
+            "processes, resets included; its raw is that of as many threads."
         ),
+    )
+
+
+def _worker(number: int) -> InsertionVecEnv:
+    return InsertionVecEnv(Insertions(vftm_dsl(), CELLS, threads=1), TaskSource(), number)
+
+
+def _workers(workers: int, steps: int, raw: _Spent) -> tuple[str, ...]:
+    """Return the row of several environments in processes of their own."""
+    environment = ParallelInsertions(_worker, workers)
+    rng = np.random.default_rng(0)
+    try:
+        environment.reset()
+        spent_s = 0.0
+        for number in range(WARM_UP + steps):
+            action = rng.uniform(-1, 1, (environment.num_envs, len(vftm_dsl().action)))
+            begin = time.perf_counter()
+            environment.step(action)
+            if number >= WARM_UP:
+                spent_s += time.perf_counter() - begin
+    finally:
+        environment.close()
+    per_s = steps * environment.num_envs / spent_s
+    ticks_per_s, raw_per_s = per_s * vftm_dsl().ticks_per_step, raw.ticks / raw.raw_s
+    return (
+        f"{workers} workers of {CELLS} cells",
+        f"{raw_per_s / 1e3:.0f}",
+        "–",
+        f"{ticks_per_s / 1e3:.0f}",
+        f"{ticks_per_s / raw_per_s:.2f}",
+        "–",
+        "–",
+        f"{per_s:.0f}",
     )
 
 
@@ -79,8 +118,7 @@ def _run(cells: int, threads: int, steps: int) -> _Spent:
     batch: Batch = environment.world._batch  # pyright: ignore[reportPrivateUsage]  # it is what we compare with
     environment.reset(np.arange(cells), source.draw(rng, cells))
     spent = _Spent()
-    warm_up = 20
-    for number in range(warm_up + steps):
+    for number in range(WARM_UP + steps):
         state = batch.state.copy()
         raw = _raw(batch, state, contract.ticks_per_step)
         with timed(Batch, "step") as physics:
@@ -92,7 +130,7 @@ def _run(cells: int, threads: int, steps: int) -> _Spent:
         if ended.size:
             environment.reset(ended, source.draw(rng, ended.size))
         reset_s = time.perf_counter() - begin
-        if number < warm_up:
+        if number < WARM_UP:
             continue
         spent.ticks += contract.ticks_per_step * cells
         spent.raw_s += raw[0]
