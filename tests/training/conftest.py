@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from training import design
+from tests.training.play import SHORT
 
 
 @pytest.fixture(scope="session")
@@ -15,7 +15,7 @@ def untrained() -> Any:
     from training.episodes import TaskSource
     from training.learn import Recipe, build
 
-    return build(design.vftm_dsl("untrained"), TaskSource(), Recipe(cells=2, rollout=8, batch=16, hidden=(32, 32)))
+    return build(SHORT, TaskSource(), Recipe(cells=2, rollout=8, batch=16, hidden=(32, 32)))
 
 
 @pytest.fixture(scope="session")
@@ -25,5 +25,5 @@ def model_path(untrained: Any, tmp_path_factory: pytest.TempPathFactory) -> Path
     from training.export import export
 
     path = tmp_path_factory.mktemp("model") / "untrained.onnx"
-    export(untrained, design.vftm_dsl("untrained"), path)
+    export(untrained, SHORT, path)
     return path

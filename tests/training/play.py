@@ -6,9 +6,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sim_backend.protocol import pose
+from training import design
 from training.insertion import Insertions, Outcome
 
 Array = npt.NDArray[np.float64]
+SHORT = design.contract_for(max_steps=30, name="untrained")
+"""The shipped policy's contract with short episodes."""
 
 
 def random_actions(steps: int, shape: tuple[int, ...], seed: int = 0) -> Array:

@@ -10,7 +10,7 @@ onnx = pytest.importorskip("onnx", reason="needs the extra `training`")
 
 from service.policy.contract import EvaluationFigure  # noqa: E402
 from service.policy.model import Policy, PolicyError  # noqa: E402
-from training import design  # noqa: E402
+from tests.training.play import SHORT  # noqa: E402
 from training.export import contract_of, export, record_evaluation  # noqa: E402
 
 
@@ -44,7 +44,7 @@ def test_normalisation_is_in_the_graph_so_that_far_outliers_change_nothing(model
 
 
 def test_the_file_carries_the_contract_it_was_trained_under(untrained: Any, model_path: Path) -> None:
-    assert Policy.load(model_path).contract == contract_of(untrained) == design.vftm_dsl("untrained")
+    assert Policy.load(model_path).contract == contract_of(untrained) == SHORT
 
 
 def test_a_model_keeps_its_contract_when_it_is_saved_and_loaded(untrained: Any, tmp_path: Path) -> None:
@@ -59,7 +59,7 @@ def test_a_graph_that_differs_from_the_network_is_not_written(
 ) -> None:
     monkeypatch.setattr("training.export.AGREEMENT", -1.0)
     with pytest.raises(ValueError, match="differs from the network"):
-        export(untrained, design.vftm_dsl(), tmp_path / "model.onnx")
+        export(untrained, SHORT, tmp_path / "model.onnx")
     assert not (tmp_path / "model.onnx").exists()
 
 
@@ -90,4 +90,4 @@ def test_recording_into_something_else_changes_nothing(tmp_path: Path) -> None:
 def test_exporting_warns_of_nothing(untrained: Any, tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        export(untrained, design.vftm_dsl(), tmp_path / "model.onnx")
+        export(untrained, SHORT, tmp_path / "model.onnx")

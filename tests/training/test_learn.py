@@ -1,4 +1,4 @@
-"""Training that really learns, in little time: without a lock, the policy itself must find out to go down to the hole."""
+"""Training that really learns, in little time: without a lock the policy itself must find out to go down to the hole."""
 
 from pathlib import Path
 
