@@ -19,11 +19,14 @@ from service.safety import dsl
 from sim_backend.protocol.task import Conditions, Part
 from training import design, evaluate
 from training.episodes import TaskSource
+from training.recipe import Recipe
 from training.reward import RewardName
 
 EXIT_USAGE = 2
 RUNS = Path("var/training")
 MOST_CELLS = 100
+_RECIPE, _TASKS = Recipe(), TaskSource()
+_RANGE_MM = _TASKS.clearance_m[0] * 1e3, _TASKS.clearance_m[1] * 1e3
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
 
@@ -31,31 +34,35 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_
 @app.command()
 def train(
     name: Annotated[str, typer.Argument(help="Of the run; its files go to var/training/NAME.")],
-    steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 2_000_000,
+    steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = _RECIPE.steps,
     start_from: Annotated[Path | None, typer.Option("--from", help="Model to continue: a checkpoint.zip.")] = None,
     mode: Annotated[Mode, typer.Option(help="What the policy observes.")] = "VFTM",
     lock: Annotated[str, typer.Option(help="paper, peck, sliding or off; VM has no other.")] = "",
-    part: Annotated[Part, typer.Option(help="Peg and hole.")] = "tr",
-    clearance: Annotated[tuple[float, float], typer.Option(help="Range trained on, mm per face.")] = (0.8, 2.6),
-    conditions: Annotated[Conditions, typer.Option(help="Distributions of an episode.")] = "standard",
-    randomise_plant: Annotated[bool, typer.Option(help="Friction, stiffness, delay and mass vary.")] = True,
-    reward: Annotated[RewardName, typer.Option(help="Which reward.")] = "potential",
-    hidden: Annotated[str, typer.Option(help="Layers of actor and critic.")] = "256,256",
-    cells: Annotated[int, typer.Option(min=1, help="Stepped together, over all workers.")] = 128,
-    workers: Annotated[int, typer.Option(min=1, help="Processes; one per core is fastest.")] = 1,
-    threads: Annotated[int, typer.Option(min=0, help="Of the physics, per worker; 0: one per core.")] = 0,
-    torch_threads: Annotated[int, typer.Option(min=0, help="Of the update; 0: torch's choice.")] = 0,
-    rollout: Annotated[int, typer.Option(min=1, help="Steps per cell between two updates.")] = 64,
-    batch: Annotated[int, typer.Option(min=2, help="Of the update.")] = 1024,
-    epochs: Annotated[int, typer.Option(min=1, help="Of the update.")] = 5,
-    learning_rate: Annotated[float, typer.Option(help="At the start; falls to a tenth.")] = 5e-4,
-    seed: Annotated[int, typer.Option(min=0, help="Of network, exploration and tasks.")] = 0,
-    device: Annotated[str, typer.Option(help="Of the network: cpu or cuda.")] = "cpu",
+    part: Annotated[Part, typer.Option(help="Peg and hole.")] = _TASKS.part,
+    clearance: Annotated[tuple[float, float], typer.Option(help="Range trained on, mm per face.")] = _RANGE_MM,
+    conditions: Annotated[Conditions, typer.Option(help="Distributions of an episode.")] = _TASKS.conditions,
+    randomise_plant: Annotated[
+        bool, typer.Option(help="Friction, stiffness, delay and mass vary.")
+    ] = _TASKS.randomise_plant,
+    reward: Annotated[RewardName, typer.Option(help="Which reward.")] = _RECIPE.reward,
+    hidden: Annotated[str, typer.Option(help="Layers of actor and critic.")] = ",".join(map(str, _RECIPE.hidden)),
+    cells: Annotated[int, typer.Option(min=1, help="Stepped together, over all workers.")] = _RECIPE.cells,
+    workers: Annotated[int, typer.Option(min=1, help="Processes; one per core is fastest.")] = _RECIPE.workers,
+    threads: Annotated[int, typer.Option(min=0, help="Of the physics, per worker; 0: one per core.")] = _RECIPE.threads,
+    torch_threads: Annotated[
+        int, typer.Option(min=0, help="Of the update; 0: torch's choice.")
+    ] = _RECIPE.torch_threads,
+    rollout: Annotated[int, typer.Option(min=1, help="Steps per cell between two updates.")] = _RECIPE.rollout,
+    batch: Annotated[int, typer.Option(min=2, help="Of the update.")] = _RECIPE.batch,
+    epochs: Annotated[int, typer.Option(min=1, help="Of the update.")] = _RECIPE.epochs,
+    learning_rate: Annotated[float, typer.Option(help="At the start; falls to a tenth.")] = _RECIPE.learning_rate,
+    seed: Annotated[int, typer.Option(min=0, help="Of network, exploration and tasks.")] = _RECIPE.seed,
+    device: Annotated[str, typer.Option(help="Of the network: cpu or cuda.")] = _RECIPE.device,
     minutes: Annotated[float, typer.Option(help="End after this time with what there is.")] = math.inf,
 ) -> None:
     """Train a policy with PPO. Ctrl-C leaves a checkpoint that `--from` continues."""
     try:
-        from training.learn import Recipe, learn
+        from training.learn import learn
     except ImportError as error:
         _fail(f"training needs the extra `training` ({error}): make setup-training")
     directory = RUNS / name

@@ -3,7 +3,6 @@
 import sys
 import time
 from collections import deque
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -21,51 +20,18 @@ from training.estimator import EstimatorTraining
 from training.insertion import Insertions
 from training.network import InsertionPolicy
 from training.parallel import ParallelInsertions
-from training.reward import RewardName
+from training.recipe import Recipe
 from training.vector import InsertionVecEnv
-
-
-@dataclass(frozen=True, slots=True)
-class Recipe:
-    """Settings of one training.
-
-    Attributes:
-        steps: environment steps in all.
-        cells: simulated cells stepped together, over all workers.
-        workers: processes that they are spread over.
-        rollout: steps per cell between two updates.
-        hidden: layers of actor and critic.
-        learning_rate: at the start; falls linearly to a tenth.
-        threads: of the physics, per worker; 0 for one per core.
-        torch_threads: of the update; 0 leaves torch's choice.
-        seed: of the network, the exploration and the tasks.
-    """
-
-    steps: int = 2_000_000
-    cells: int = 128
-    workers: int = 1
-    rollout: int = 64
-    hidden: tuple[int, ...] = (256, 256)
-    learning_rate: float = 5e-4
-    batch: int = 1024
-    epochs: int = 8
-    gamma: float = 0.99
-    gae_lambda: float = 0.95
-    entropy: float = 1e-3
-    target_kl: float = 0.03
-    initial_log_std: float = -0.5
-    reward: RewardName = "potential"
-    threads: int = 0
-    torch_threads: int = 0
-    seed: int = 0
-    device: str = "cpu"
 
 
 class Progress(BaseCallback):
     """Says one line per rollout, into `log.txt` too, and writes checkpoints; `deadline_s` ends the training early."""
 
-    def __init__(self, directory: Path, deadline_s: float = float("inf"), every: int = 500_000) -> None:
+    def __init__(
+        self, directory: Path, estimator: EstimatorTraining, deadline_s: float = float("inf"), every: int = 200_000
+    ) -> None:
         super().__init__()
+        self._estimator = estimator
         self._directory = directory
         self._deadline = deadline_s
         self._every = every
@@ -101,7 +67,8 @@ class Progress(BaseCallback):
                 f"(simulation {self._simulating / elapsed:.0%}) success {success:.3f} "
                 f"steps/episode {np.mean([r['episode']['l'] for r in recent]):5.1f} "
                 f"return {np.mean([r['episode']['r'] for r in recent]):6.2f} "
-                f"peak force {peak[0]:4.1f} / {peak[1]:4.1f} N faults {np.mean([r['fault'] for r in recent]):.3f}"
+                f"peak force {peak[0]:4.1f} / {peak[1]:4.1f} N faults {np.mean([r['fault'] for r in recent]):.3f} "
+                f"estimator {self._estimator.loss:.3f}"
             )
             tqdm.write(line)
             sys.stdout.flush()
@@ -173,12 +140,13 @@ def learn(
     if recipe.torch_threads:
         torch.set_num_threads(recipe.torch_threads)
     model = build(contract, tasks, recipe)
+    estimator = EstimatorTraining()
     environment = model.get_env()
     if start_from is not None:
         earlier = PPO.load(start_from, device=recipe.device)
         model.set_parameters(cast(Any, earlier.get_parameters()))
     try:
-        model.learn(recipe.steps, callback=[EstimatorTraining(), Progress(directory, deadline_s)])
+        model.learn(recipe.steps, callback=[estimator, Progress(directory, estimator, deadline_s)])
         save(model, directory / "final.zip")
     except KeyboardInterrupt:
         save(model, directory / "checkpoint.zip")

