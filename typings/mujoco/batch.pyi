@@ -2,7 +2,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
 from mujoco import MjData, MjModel
 
 class SimulationError(RuntimeError):

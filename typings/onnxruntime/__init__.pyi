@@ -1,4 +1,4 @@
-"""ONNX Runtime ships without `py.typed`, its session half annotated: what comes out of it is checked where it enters."""
+"""ONNX Runtime ships without `py.typed` and half annotated: what comes out of it is checked where it enters."""
 
 from typing import Any
 
