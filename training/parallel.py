@@ -1,5 +1,6 @@
 """Insertions in several processes behind one environment: numpy between physics ticks runs on one core per process."""
 
+import contextlib
 import multiprocessing
 import signal
 from collections.abc import Callable
@@ -85,10 +86,8 @@ def _work(pipe: Connection, make: MakeEnvironment, number: int) -> None:
     """Work: send the shapes, then answer None with a reset and an action with a step until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which closes the pipe
     environment = make(number)
-    pipe.send((environment.num_envs, environment.observation_space, environment.action_space))
-    while True:
-        try:
+    with contextlib.suppress(EOFError, ConnectionError):  # the parent has ended
+        pipe.send((environment.num_envs, environment.observation_space, environment.action_space))
+        while True:
             action = pipe.recv()
-        except (EOFError, ConnectionResetError):
-            return
-        pipe.send(environment.reset() if action is None else environment.step(action))
+            pipe.send(environment.reset() if action is None else environment.step(action))
