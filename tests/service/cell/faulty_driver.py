@@ -74,7 +74,7 @@ class FaultyDriver:
     def engage(self, law: ComplianceLaw, limits: Limits) -> None:
         self._note("engage")
         if self.deaf_to_stop:  # a robot-side ceiling or watchdog would stop it after all
-            limits = replace(limits, force_ceiling_n=1e3, target_age_s=1e3)
+            limits = replace(limits, force_ceiling_n=100.0, target_age_s=10.0)
         self._driver.engage(law, limits)
 
     def send_target(self, target: PoseTarget) -> int:

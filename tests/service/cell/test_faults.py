@@ -1,5 +1,6 @@
 """One test per fault that a cell must survive, by what the arm does and what the record says."""
 
+import contextlib
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,7 +12,7 @@ import pytest
 from service.cell.inference import ThreadInference
 from service.drivers.base import Program, Sample, StopReason
 from service.faults import FaultCode
-from service.messages import CellState, Reason, Refused, ResetRequest, RunState, StatusResult
+from service.messages import CellState, Reason, Refused, ResetRequest, RunState, StatusResult, StopRequest
 from service.policy.model import Policy
 from service.testing import cell_config, lockstep_cell
 from tests.service.cell import policies
@@ -416,14 +417,25 @@ async def test_54_power_cycle_while_latched_starts_latched(faulty_cell: FaultyCe
         assert bench.cell.state is CellState.READY
 
 
-async def test_51_a_disk_that_refuses_writes_refuses_starts_and_stops_work(faulty_cell: FaultyCell) -> None:
+async def test_51_a_full_disk_refuses_starts_and_a_stop_works(faulty_cell: FaultyCell) -> None:
     async with faulty_cell() as faulty:
-        faulty.bench.cell.journal.ledger._file.close()
-        with pytest.raises(AssertionError, match="STORAGE"):
+        run = await faulty.running()
+        ledger = faulty.bench.cell.journal.ledger
+        whole, ledger._file = ledger._file, Path("/dev/full").open("a")
+        faulty.bench.cell.stop(StopRequest())
+        await faulty.bench.state(CellState.LATCHED)
+        assert speed(faulty.driver.truth) < 2e-3
+        assert faulty.bench.cell.runs.find(run.id).state is RunState.STOPPED
+        assert isinstance(await faulty.bench.cell.reset(ResetRequest()), StatusResult), (
+            "the latch has a file of its own"
+        )
+        with pytest.raises(AssertionError, match=r"STORAGE.*No space left"):
             await faulty.bench.start()
-        assert faulty.driver.said("engage") == []
-        with pytest.raises(AssertionError, match="STORAGE"):
-            await faulty.bench.start()
+        assert len(faulty.driver.said("engage")) == 1
+        assert faulty.bench.cell.state is CellState.READY
+        with contextlib.suppress(OSError):
+            ledger._file.close()
+        ledger._file = whole
 
 
 async def test_an_error_of_ours_in_the_loop_stops_and_latches_internal(

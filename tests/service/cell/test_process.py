@@ -1,0 +1,199 @@
+"""Processes that are killed, frozen and ended: the simulator under a cell, and the control process itself."""
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from service.cell.cell import Cell
+from service.cell.process import standing
+from service.client import CellClient
+from service.drivers.base import Program
+from service.drivers.zenoh_sim import ZenohSimDriver
+from service.faults import FaultCode
+from service.messages import CellState, Reason, Refused, ResetRequest, RunResult, RunState, StartRequest
+from service.testing import RECIPE, cell_config
+from tests.service.cell import policies
+from tests.service.cell.conftest import EASY
+from tests.service.sim_server import free_endpoint, sim_process
+
+ROOT = Path(__file__).parents[3]
+LIMITS = {"sample_age_s": 0.25, "target_age_s": 0.6, "policy_deadline_s": 0.5}
+"""What a loaded test machine does to its clock is not what these tests are about."""
+
+
+async def until(condition: Callable[[], object], seconds: float = 30.0) -> None:
+    async with asyncio.timeout(seconds):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+@asynccontextmanager
+async def cell_over_zenoh(tmp_path: Path, endpoint: str) -> AsyncIterator[Cell]:
+    config = cell_config(tmp_path / "state", policies.still(tmp_path), LIMITS, conditions="easy")
+    cell = Cell(config, ZenohSimDriver("world-1", [endpoint], "real_time"))
+    async with standing(cell):
+        await until(lambda: cell.state in (CellState.READY, CellState.LATCHED))
+        yield cell
+
+
+async def started(cell: Cell) -> str:
+    answer = await cell.start(StartRequest(recipe=RECIPE, seed=EASY))
+    assert isinstance(answer, RunResult)
+    await until(lambda: cell.state in (CellState.APPROACH, CellState.RUNNING, CellState.LATCHED))
+    assert cell.journal.latch is None, cell.journal.latch
+    return answer.run.id
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=["19_sigkill", "20_sigstop"])
+async def test_a_simulator_that_is_gone_or_frozen_latches_stale(tmp_path: Path, number: signal.Signals) -> None:
+    endpoint = free_endpoint()
+    with sim_process(endpoint) as simulator:
+        async with cell_over_zenoh(tmp_path, endpoint) as cell:
+            run_id = await started(cell)
+            simulator.send_signal(number)
+            await until(lambda: cell.state is CellState.LATCHED)
+            run = cell.runs.find(run_id)
+            assert run is not None
+            assert (run.state, run.code) == (RunState.LATCHED, FaultCode.STALE)
+            answer = await cell.reset(ResetRequest())
+            assert isinstance(answer, Refused)
+            assert answer.problem.reason is Reason.NO_MEASUREMENT
+            if number is signal.SIGSTOP:
+                simulator.send_signal(signal.SIGCONT)
+                await until(lambda: cell.status().measured is not None and not cell.unlinked.is_set())
+                sample = cell.newest_sample
+                await until(lambda: cell.newest_sample is not sample and cell.newest_sample is not None)
+                await until(lambda: cell.newest_sample is not None and cell.newest_sample.program is Program.IDLE)
+                assert cell.state is CellState.LATCHED, "it stays latched though samples flow again"
+                assert cell.runs.active is None
+
+
+async def test_21_a_simulator_that_restarts_resumes_nothing(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with sim_process(endpoint) as simulator:
+        async with cell_over_zenoh(tmp_path, endpoint) as cell:
+            await started(cell)
+            simulator.kill()
+            await until(lambda: cell.state is CellState.LATCHED)
+            with sim_process(endpoint):
+                await until(lambda: cell.newest_sample is not None and not cell.unlinked.is_set())
+                assert cell.state is CellState.LATCHED
+                assert cell.newest_sample is not None
+                assert cell.newest_sample.program is Program.IDLE
+                await until(lambda: cell.status().measured is not None)
+                answer = await cell.reset(ResetRequest())
+                assert not isinstance(answer, Refused), answer
+                assert cell.state is CellState.READY
+
+
+def configured(tmp_path: Path, **replaced: str) -> tuple[Path, str]:
+    policies.still(tmp_path)
+    cell, sim = free_endpoint(), free_endpoint()
+    text = (ROOT / "config" / "cell.toml").read_text()
+    for old, new in {
+        "tcp/127.0.0.1:7447": cell,
+        "tcp/127.0.0.1:7448": sim,
+        '"../var/cell-1"': '"state"',
+        "../models/triangle-vftm.onnx": "still.onnx",
+        "sample_age_s = 0.08": "sample_age_s = 0.25\ntarget_age_s = 0.6\npolicy_deadline_s = 0.5",
+        **replaced,
+    }.items():
+        assert old in text, old
+        text = text.replace(old, new)
+    path = tmp_path / "cell.toml"
+    path.write_text(text)
+    return path, cell
+
+
+@asynccontextmanager
+async def control_process(path: Path, endpoint: str) -> AsyncIterator[tuple[subprocess.Popen[bytes], CellClient]]:
+    process = subprocess.Popen([sys.executable, "-m", "service", "run", "--config", str(path)], cwd=ROOT)
+    try:
+        async with CellClient("cell-1", [endpoint]) as client:
+            await until(lambda: client.state in (CellState.READY, CellState.LATCHED), 60.0)
+            yield process, client
+    finally:
+        process.terminate()
+        try:
+            process.wait(10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+async def test_48_sigterm_in_mid_run_stops_the_arm_and_ends_cleanly(tmp_path: Path) -> None:
+    path, endpoint = configured(tmp_path)
+    async with control_process(path, endpoint) as (process, client):
+        answer = await client.start(StartRequest(recipe="triangle-2mm", seed=EASY))
+        await until(lambda: client.state in (CellState.APPROACH, CellState.RUNNING))
+        process.send_signal(signal.SIGTERM)
+        await asyncio.to_thread(process.wait, 20)
+        assert process.returncode == 0
+    async with control_process(path, endpoint) as (_, client):
+        assert client.state is CellState.LATCHED
+        status = client.last_status
+        assert status is not None
+        assert status.latch is not None
+        assert status.latch.code is FaultCode.INTERRUPTED
+        assert (await client.run(answer.run.id)).state is RunState.INTERRUPTED
+
+
+async def test_47_a_control_process_that_is_killed_leaves_an_arm_that_stops_by_itself(tmp_path: Path) -> None:
+    sim = free_endpoint()
+    path, endpoint = configured(tmp_path, **{"tcp/127.0.0.1:7448": sim})
+    with sim_process(sim):
+        async with control_process(path, endpoint) as (process, client):
+            await client.start(StartRequest(recipe="triangle-2mm", seed=EASY))
+            await until(lambda: client.state in (CellState.APPROACH, CellState.RUNNING))
+            process.kill()
+            await until(lambda: client.state is CellState.UNKNOWN)
+        driver, samples = ZenohSimDriver("world-1", [sim], "real_time"), []
+
+        class Sink:
+            def on_sample(self, sample: object) -> None:
+                samples.append(sample)
+
+            def on_link_fault(self, code: FaultCode, text: str) -> None: ...
+
+        await driver.connect(Sink())
+        try:
+            await until(lambda: samples and samples[-1].program is Program.IDLE)
+        finally:
+            await driver.close()
+
+
+def run_service(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "service", *arguments],
+        cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+
+
+def test_55_a_cell_with_a_ceiling_out_of_range_does_not_boot_and_says_which_field(tmp_path: Path) -> None:
+    path, _ = configured(tmp_path, **{"force_ceiling_n = 30.0": "force_ceiling_n = 80.0"})
+    ended = run_service("run", "--config", str(path))
+    assert ended.returncode == 2
+    assert "limits.force_ceiling_n" in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+def test_an_endpoint_in_use_is_a_clear_error(tmp_path: Path) -> None:
+    path, endpoint = configured(tmp_path)
+    with sim_process(endpoint):
+        ended = run_service("run", "--config", str(path), DSL_ASSEMBLY__SIM__AUTOSTART="false")
+    assert ended.returncode == 3
+    assert endpoint in ended.stderr
+    assert "in use" in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+def test_the_schema_is_printed_as_json() -> None:
+    assert "limits" in json.loads(run_service("schema").stdout)["properties"]

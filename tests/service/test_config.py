@@ -1,0 +1,102 @@
+from pathlib import Path
+
+import pytest
+
+from service.config import CellConfig, ConfigError, load
+from service.hard_limits import FORCE_HARD_MAXIMUM_N
+
+SHIPPED = Path(__file__).parents[2] / "config" / "cell.toml"
+
+
+def written(tmp_path: Path, old: str = "", new: str = "") -> Path:
+    text = SHIPPED.read_text()
+    assert old in text
+    path = tmp_path / "cell.toml"
+    path.write_text(text.replace(old, new))
+    return path
+
+
+def test_the_shipped_configuration_is_whole_and_its_paths_are_relative_to_the_file() -> None:
+    config = load(SHIPPED)
+    assert config.cell.state_dir.is_absolute()
+    assert all(recipe.policy.is_absolute() for recipe in config.recipes.values())
+    assert config.limits.force_ceiling_n == 30.0
+
+
+@pytest.mark.parametrize("value", ["50.001", "0.0", "-1.0", "nan", "inf", "-inf", '"much"'])
+def test_55_a_ceiling_out_of_range_is_refused_by_its_name(tmp_path: Path, value: str) -> None:
+    path = written(tmp_path, "force_ceiling_n = 30.0", f"force_ceiling_n = {value}")
+    with pytest.raises(ConfigError, match=r"limits\.force_ceiling_n"):
+        load(path)
+
+
+def test_55_a_missing_ceiling_is_refused_by_its_name(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"limits\.force_ceiling_n: Field required"):
+        load(written(tmp_path, "force_ceiling_n = 30.0", ""))
+
+
+def test_the_hard_maximum_itself_is_allowed(tmp_path: Path) -> None:
+    config = load(written(tmp_path, "force_ceiling_n = 30.0", f"force_ceiling_n = {FORCE_HARD_MAXIMUM_N}"))
+    assert config.limits.force_ceiling_n == FORCE_HARD_MAXIMUM_N
+
+
+def test_a_recipe_may_lower_the_ceiling_and_not_raise_it(tmp_path: Path) -> None:
+    lower = load(written(tmp_path, 'part = "tr"', 'part = "tr"\nforce_ceiling_n = 12.0'))
+    assert lower.recipes["triangle-2mm"].force_ceiling_n == 12.0
+    with pytest.raises(ConfigError, match=r"recipes\.triangle-2mm\.force_ceiling_n is 31"):
+        load(written(tmp_path, 'part = "tr"', 'part = "tr"\nforce_ceiling_n = 31.0'))
+
+
+def test_an_unknown_field_is_refused_by_its_name(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"limits\.force_celing_n: Extra inputs"):
+        load(written(tmp_path, "force_ceiling_n = 30.0", "force_ceiling_n = 30.0\nforce_celing_n = 10.0"))
+
+
+def test_every_wrong_field_is_named_at_once(tmp_path: Path) -> None:
+    path = written(tmp_path, "[api]", "[api]\nthreads = 4")
+    path.write_text(path.read_text().replace("port = 8000", "port = 0"))
+    with pytest.raises(ConfigError, match=r"(?s)api\.port.*api\.threads|api\.threads.*api\.port"):
+        load(path)
+
+
+def test_a_workspace_whose_corners_are_swapped_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"limits\.workspace_m"):
+        load(written(tmp_path, "[[0.15, -0.26, 0.01], [0.45", "[[0.55, -0.26, 0.01], [0.45"))
+
+
+def test_the_environment_overrides_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DSL_ASSEMBLY__API__PORT", "8123")
+    monkeypatch.setenv("DSL_ASSEMBLY__LIMITS__FORCE_CEILING_N", "20")
+    config = load(written(tmp_path))
+    assert (config.api.port, config.limits.force_ceiling_n) == (8123, 20.0)
+    monkeypatch.setenv("DSL_ASSEMBLY__LIMITS__FORCE_CEILING_N", "60")
+    with pytest.raises(ConfigError, match=r"limits\.force_ceiling_n"):
+        load(written(tmp_path))
+
+
+def test_the_file_is_the_one_that_the_environment_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DSL_ASSEMBLY_CONFIG", str(written(tmp_path, 'id = "cell-1"', 'id = "other"')))
+    assert load().cell.id == "other"
+
+
+@pytest.mark.parametrize("content", [None, "[cell", "\x00"])
+def test_a_file_that_is_not_there_or_not_toml_is_a_clear_error(tmp_path: Path, content: str | None) -> None:
+    path = tmp_path / "cell.toml"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(ConfigError, match=r"cell\.toml"):
+        load(path)
+
+
+@pytest.mark.parametrize("name", ["a/b", "a*b", "", "a b", "../x"])
+def test_a_recipe_or_cell_whose_name_cannot_stand_in_a_key_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ConfigError):
+        load(written(tmp_path, "[recipes.triangle-2mm]", f'[recipes."{name}"]'))
+    with pytest.raises(ConfigError, match=r"cell\.id"):
+        load(written(tmp_path, 'id = "cell-1"', f'id = "{name}"'))
+
+
+def test_the_schema_names_every_section() -> None:
+    schema = CellConfig.model_json_schema()
+    assert set(schema["properties"]) == {"cell", "limits", "preflight", "sim", "api", "client_loss", "recipes"}
+    assert schema["additionalProperties"] is False
