@@ -1,6 +1,6 @@
 """One test per fault that a cell must survive, by what the arm does and what the record says."""
 
-import contextlib
+import os
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
@@ -420,22 +420,22 @@ async def test_54_power_cycle_while_latched_starts_latched(faulty_cell: FaultyCe
 async def test_51_a_full_disk_refuses_starts_and_a_stop_works(faulty_cell: FaultyCell) -> None:
     async with faulty_cell() as faulty:
         run = await faulty.running()
-        ledger = faulty.bench.cell.journal.ledger
-        whole, ledger._file = ledger._file, Path("/dev/full").open("a")
-        faulty.bench.cell.stop(StopRequest())
-        await faulty.bench.state(CellState.LATCHED)
+        bench, ledger = faulty.bench, faulty.bench.cell.journal.ledger
+        full = os.open("/dev/full", os.O_WRONLY)
+        whole = os.dup(ledger._file.fileno())
+        os.dup2(full, ledger._file.fileno())
+        bench.cell.stop(StopRequest())
+        await bench.state(CellState.LATCHED)
         assert speed(faulty.driver.truth) < 2e-3
-        assert faulty.bench.cell.runs.find(run.id).state is RunState.STOPPED
-        assert isinstance(await faulty.bench.cell.reset(ResetRequest()), StatusResult), (
-            "the latch has a file of its own"
-        )
+        assert bench.cell.runs.find(run.id).state is RunState.STOPPED
+        assert isinstance(await bench.cell.reset(ResetRequest()), StatusResult), "the latch has a file of its own"
         with pytest.raises(AssertionError, match=r"STORAGE.*No space left"):
-            await faulty.bench.start()
+            await bench.start()
         assert len(faulty.driver.said("engage")) == 1
-        assert faulty.bench.cell.state is CellState.READY
-        with contextlib.suppress(OSError):
-            ledger._file.close()
-        ledger._file = whole
+        assert bench.cell.state is CellState.READY
+        os.dup2(whole, ledger._file.fileno())
+        os.close(full)
+        os.close(whole)
 
 
 async def test_an_error_of_ours_in_the_loop_stops_and_latches_internal(
