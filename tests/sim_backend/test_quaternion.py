@@ -58,9 +58,9 @@ def test_turn_is_the_exponential_map_to_third_order(axis, angle, other, small):
     assert matrix(q) == pytest.approx(expected, abs=small**3 + 1e-12)
 
 
-def test_a_hundred_thousand_turns_leave_a_unit_quaternion():
+def test_ten_thousand_turns_leave_a_unit_quaternion():
     q = quaternion.from_rotvec(np.array([[np.pi, 0.0, 0.0], [0.3, -0.2, 0.1]]))
     step = np.array([[1e-3, -2e-3, 5e-4], [0.0, 0.0, -3e-3]])
-    for _ in range(100_000):
+    for _ in range(10_000):
         quaternion.turn(q, step)
     assert (q * q).sum(1) == pytest.approx(np.ones(2), abs=1e-15)
