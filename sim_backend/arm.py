@@ -20,7 +20,6 @@ Cells = npt.NDArray[np.int64]
 
 KINEMATICS_TICKS = 20
 """Ticks between exact solutions of the inverse kinematics; between them the Jacobian's inverse carries the joints."""
-MAX_TARGET_DELAY = 16
 SINGULARITY_MARGIN = 0.05
 """Smallest `kinematics.singularity_margin` at which the arm is still driven."""
 PROTECTIVE_FORCE_N = 150.0
