@@ -9,25 +9,24 @@ import contextlib
 import time
 from collections.abc import Callable, Sequence
 
-import numpy as np
 import structlog
 
 from service.cell import report
 from service.cell.admission import Standing, why_not_reset, why_not_start
 from service.cell.inference import InferenceKind, InlineInference, ThreadInference
+from service.cell.intake import UNBELIEVED, Intake
 from service.cell.journal import Journal
-from service.cell.plan import plan_insertion, plan_monitor
+from service.cell.plan import plan_insertion
 from service.cell.policies import PolicyRefusedError, PolicyShelf
 from service.cell.records import Fail, TickRecord
 from service.cell.run import ActiveRun
-from service.cell.runs import Runs
+from service.cell.runs import Runs, ended_by
 from service.cell.states import WITH_RUN, StateMachine
 from service.config import CellConfig
 from service.drivers.base import Driver, DriverError, Program, Sample, Setup
 from service.faults import FaultCode
 from service.messages import (
     CellState,
-    Counters,
     EventKind,
     Problem,
     Reason,
@@ -42,23 +41,14 @@ from service.messages import (
     StopRequest,
 )
 from service.policy.model import Policy
-from service.safety.monitor import Monitor
 from service.safety.stop import StopConfirmation, StopParameters, StopState
 
 LINK_FAULTS = frozenset({FaultCode.STALE, FaultCode.LINK, FaultCode.SOURCE, FaultCode.PROTOCOL})
 """Faults of the way to the arm: while nothing runs they mean OFFLINE and another attempt, not a latch."""
-UNBELIEVED = frozenset({FaultCode.SENSOR_INVALID, FaultCode.SOURCE, FaultCode.LINK})
-"""Faults after which the sample itself is not used for anything."""
-ENDED_BY = {
-    FaultCode.OPERATOR_STOP: RunState.STOPPED,
-    FaultCode.CLIENT_LOST: RunState.STOPPED,
-    FaultCode.INTERRUPTED: RunState.INTERRUPTED,
-}
 JOURNAL_CLOSE_S = 0.5
+UNCONFIRMED = "no standstill was measured in time after the stop: use the robot's own emergency stop."
 TELEMETRY_TICKS = 10
 STOP_AGAIN_TICKS = 5
-FIRST_SAMPLE_S = 2.0
-"""Time after connecting in which the first sample must come."""
 
 _log = structlog.get_logger("service.cell")
 
@@ -91,13 +81,12 @@ class Cell:
         self.driver = driver
         self.journal = Journal(config.cell.state_dir, time_of_day)
         self.degradations: Sequence[str] = ()
-        self.telemetry_dropped = 0
-        self.overruns = 0
+        self.telemetry_dropped = self.overruns = 0
         self.unlinked = asyncio.Event()
         self.unlinked.set()
         self._inference_kind = inference or (InlineInference if driver.mode == "lockstep" else ThreadInference)
         self._policies = PolicyShelf(config.recipes, driver.tick_s, config.limits.max_stiffness)
-        self._monitor = Monitor(plan_monitor(config.limits, config.limits.force_ceiling_n))
+        self._intake = Intake(config.limits, driver.clock)
         self._stop_parameters = StopParameters(
             report.STANDSTILL_M_S, report.STANDSTILL_RAD_S, deadline_s=config.limits.stop_confirm_s
         )
@@ -107,11 +96,8 @@ class Cell:
         self._confirmation: StopConfirmation | None = None
         self._preparing = False
         self._resetting = False
-        self._sample: Sample | None = None
-        self._linked_at = 0.0
         self._link_text = "not connected yet"
         self._status_seq = 0
-        self._samples = self._ignored = self._missed = 0
         self._client_heard_at = 0.0
 
     @property
@@ -120,7 +106,7 @@ class Cell:
 
     @property
     def newest_sample(self) -> Sample | None:
-        return self._sample
+        return self._intake.sample
 
     # --- what the driver says
 
@@ -141,25 +127,12 @@ class Cell:
     def _take(self, sample: Sample) -> None:
         if self._preparing:
             return
-        verdict = self._monitor.check(
-            epoch=sample.epoch,
-            episode=sample.episode,
-            seq=sample.seq,
-            time_s=sample.time_s,
-            wrench=sample.wrench,
-            motion=np.concatenate((sample.q, sample.qd, sample.tcp_position, sample.tcp_rotvec, sample.tcp_velocity)),
-            saturated=sample.saturated,
-            now=sample.arrival_s,
-        )
-        if not verdict.accepted:
-            self._ignored += 1
-            return
+        verdict = self._intake.judge(sample)
         if verdict.fault is not None:
             self.halt(verdict.fault, verdict.text)
-            if verdict.fault in UNBELIEVED:
-                return
-        self._keep(sample)
-        late_s = self.driver.clock() - sample.arrival_s
+        if not verdict.accepted or verdict.fault in UNBELIEVED:
+            return
+        late_s = self._intake.age_s
         if verdict.fault is None and late_s > self.config.limits.sample_age_s and self.state in WITH_RUN:
             self.halt(FaultCode.STALE, f"this process judged a sample {late_s * 1e3:.0f} ms after it had arrived")
         if self.state is CellState.CONNECTING:
@@ -168,14 +141,8 @@ class Cell:
             self._await_standstill(sample)
         elif self.runs.active is not None:
             self.runs.active.on_sample(sample)
-        if self._samples % TELEMETRY_TICKS == 0:
+        if self._intake.accepted % TELEMETRY_TICKS == 0:
             self._send_telemetry(sample)
-
-    def _keep(self, sample: Sample) -> None:
-        self._samples += 1
-        if self._sample is not None and sample.epoch == self._sample.epoch:
-            self._missed += max(0, sample.seq - self._sample.seq - 1)
-        self._sample = sample
 
     # --- stopping
 
@@ -192,8 +159,8 @@ class Cell:
     def _begin_stop(self, code: FaultCode, text: str) -> None:
         self._states.to(CellState.STOPPING)
         self._confirmation = StopConfirmation(self._stop_parameters, self.driver.clock())
-        state = ENDED_BY.get(code, RunState.LATCHED)
-        run = self.runs.end(state, code, text, self._monitor.peak_force_n, self._samples_clock())
+        state = ended_by(code)
+        run = self.runs.end(state, code, text, self._intake.peak_force_n, self._intake.time_s)
         run_id = None if run is None else run.id
         self.journal.set_latch(code, text, run_id, None if run is None else run.peak_force_n)
         self._tell_run(run)
@@ -210,7 +177,7 @@ class Cell:
     def _await_standstill(self, sample: Sample) -> None:
         if self._confirmation is None:
             return
-        if sample.program is Program.ENGAGED and self._samples % STOP_AGAIN_TICKS == 0:
+        if sample.program is Program.ENGAGED and self._intake.accepted % STOP_AGAIN_TICKS == 0:
             self.driver.stop()
         if sample.program in (Program.ENGAGED, Program.STOPPING):
             # Standing still is not enough while the arm's program could go on
@@ -224,7 +191,7 @@ class Cell:
         if self.state is CellState.STOPPING:
             self._finish_stop(stop)
         elif stop is StopState.UNCONFIRMED:
-            self.halt(FaultCode.STOP_UNCONFIRMED, self._unconfirmed_text())
+            self.halt(FaultCode.STOP_UNCONFIRMED, UNCONFIRMED)
         else:
             self._confirmation = None
             self._finish_run()
@@ -232,25 +199,20 @@ class Cell:
     def _finish_stop(self, stop: StopState | None) -> None:
         latch = self.journal.latch
         if stop is StopState.UNCONFIRMED and latch is not None:
-            seen = self._sample is not None and self._age_s(self._sample) < self.config.limits.sample_age_s
-            code = FaultCode.STOP_UNCONFIRMED if seen else latch.code
-            text = f"{self._unconfirmed_text()} Stopped for {latch.code}: {latch.text}"
+            code = FaultCode.STOP_UNCONFIRMED if self._intake.is_fresh else latch.code
+            text = f"{UNCONFIRMED} Stopped for {latch.code}: {latch.text}"
             self.journal.set_latch(code, text, latch.run_id, latch.peak_force_n)
             self.journal.tell(EventKind.FAULT, self.state, text, FaultCode.STOP_UNCONFIRMED, latch.run_id)
         self._confirmation = None
         self.enter(CellState.LATCHED)
 
-    def _unconfirmed_text(self) -> str:
-        limit = self.config.limits.stop_confirm_s
-        return f"no standstill was measured within {limit:g} s of the stop: use the robot's own emergency stop."
-
     # --- time
 
     def watch(self) -> None:
         """Judge the silence; `watch.keep_watch` calls this every few milliseconds of real time."""
-        now = self.driver.clock()
         if self._preparing:
             return
+        now = self.driver.clock()
         if self._confirmation is not None:
             if self.state is CellState.STOPPING:
                 self.driver.stop()
@@ -260,10 +222,8 @@ class Cell:
         loss = self.config.client_loss
         if loss.policy == "stop" and self.state in WITH_RUN and now - self._client_heard_at > loss.limit_s:
             self.halt(FaultCode.CLIENT_LOST, f"no client was heard for {loss.limit_s:g} s")
-        overdue = self._monitor.overdue(now)
-        if overdue.fault is None or (self._sample is None and now - self._linked_at < FIRST_SAMPLE_S):
-            return
-        if now - self._linked_at >= self.config.limits.sample_age_s:
+        overdue = self._intake.overdue()
+        if overdue.fault is not None:
             self.halt(overdue.fault, overdue.text)
 
     def hear_client(self) -> None:
@@ -276,9 +236,7 @@ class Cell:
         What an earlier process left moving is stopped: nothing that this one did not start goes on.
         """
         self.driver.stop()
-        self._monitor.reset()
-        self._linked_at = self.driver.clock()
-        self._sample = None
+        self._intake.renew()
         self._link_text = "connected, no sample yet"
         self.unlinked.clear()
 
@@ -305,7 +263,7 @@ class Cell:
         self.hear_client()
         self.enter(CellState.PREFLIGHT)
         active = self.runs.begin(request, self.driver, self)
-        self._monitor.clear_peak()
+        self._intake.clear_peak()
         try:
             policy = await asyncio.to_thread(self._policies.admit, request.recipe)
         except PolicyRefusedError as error:
@@ -337,7 +295,7 @@ class Cell:
     async def reset(self, request: ResetRequest) -> StatusResult | Refused:
         """Acknowledge the latched fault; moves nothing."""
         if (problem := why_not_reset(self._standing(), request, self.config.limits)) is not None:
-            if problem.reason is Reason.WRONG_STATE and self._in_protective_stop:
+            if problem.reason is Reason.WRONG_STATE and self._intake.in_protective_stop:
                 self.driver.unlock()
             return Refused(problem=problem)
         self._resetting = True
@@ -363,7 +321,7 @@ class Cell:
         """What there is to show, by measurement where the arm is concerned."""
         now = self.driver.clock()
         self._status_seq += 1
-        sample, config = self._sample, self.config
+        sample, config = self._intake.sample, self.config
         blocked = why_not_start(self._standing(), None, self.config, self.driver.simulated)
         return Status(
             cell=config.cell.id,
@@ -374,20 +332,14 @@ class Cell:
             can_start=blocked is None,
             why_not=None if blocked is None else blocked.detail,
             latch=self.journal.latch,
-            run=self.runs.current(self._monitor.peak_force_n, self._samples_clock()),
+            run=self.runs.current(self._intake.peak_force_n, self._intake.time_s),
             measured=None if sample is None else report.measured(sample, now),
             driver=self.driver.name,
             mode=self.driver.mode,
             recipes=tuple(config.recipes),
             force_ceiling_n=config.limits.force_ceiling_n,
             degradations=tuple(self.degradations),
-            counters=Counters(
-                samples=self._samples,
-                samples_ignored=self._ignored,
-                samples_missed=self._missed,
-                telemetry_dropped=self.telemetry_dropped,
-                loop_overruns=self.overruns,
-            ),
+            counters=self._intake.counters(self.telemetry_dropped, self.overruns),
         )
 
     async def close(self) -> None:
@@ -435,11 +387,9 @@ class Cell:
             failure = error
         finally:
             self._preparing = False
-        self._monitor = Monitor(plan_monitor(self.config.limits, plan.limits.force_ceiling_n))
-        self._sample = None
-        self._linked_at = self.driver.clock()
+        self._intake.renew(plan.limits.force_ceiling_n)
         if self.state is CellState.STOPPING:
-            self._confirmation = StopConfirmation(self._stop_parameters, self._linked_at)
+            self._confirmation = StopConfirmation(self._stop_parameters, self.driver.clock())
         if active.abandoned:
             return
         if failure is not None:
@@ -456,7 +406,7 @@ class Cell:
 
     def _end_run(self, state: RunState, code: FaultCode | None, text: str) -> None:
         self._states.to(CellState.READY)
-        self._tell_run(self.runs.end(state, code, text, self._monitor.peak_force_n, self._samples_clock()))
+        self._tell_run(self.runs.end(state, code, text, self._intake.peak_force_n, self._intake.time_s))
         self._tell_state()
 
     def _tell_run(self, run: Run | None) -> None:
@@ -467,21 +417,17 @@ class Cell:
     # --- small parts
 
     def _standing(self) -> Standing:
-        sample = self._sample
+        intake = self._intake
         return Standing(
             states=self._states,
             latch=self.journal.latch,
-            link_text=self._link_text if self.unlinked.is_set() or sample is None else None,
+            link_text=self._link_text if self.unlinked.is_set() or intake.sample is None else None,
             storage_text=self.journal.fault,
-            sample=sample,
-            sample_age_s=float("inf") if sample is None else self._age_s(sample),
-            force_n=self._monitor.force_n,
+            sample=intake.sample,
+            sample_age_s=intake.age_s,
+            force_n=intake.force_n,
             resetting=self._resetting,
         )
-
-    @property
-    def _in_protective_stop(self) -> bool:
-        return self._sample is not None and self._sample.program is Program.PROTECTIVE_STOP
 
     def _refuse(self, reason: Reason, detail: str) -> Refused:
         return Refused(problem=Problem(reason=reason, detail=detail, state=self.state))
@@ -495,18 +441,10 @@ class Cell:
         return self._refuse(reason, detail)
 
     def _tell_state(self) -> None:
-        run_id = None if self.runs.active is None else self.runs.active.accepted.id
-        self.journal.tell(EventKind.STATE, self.state, "", run_id=run_id)
+        self.journal.tell(EventKind.STATE, self.state, "", run_id=self.runs.active_id)
 
     def _send_telemetry(self, sample: Sample) -> None:
-        active = self.runs.active
-        insertion = None if active is None else active.insertion
-        point = report.telemetry(sample, self.state, insertion, None if active is None else active.accepted.id)
+        insertion = None if self.runs.active is None else self.runs.active.insertion
+        point = report.telemetry(sample, self.state, insertion, self.runs.active_id)
         for observer in self.journal.observers:
             observer.on_telemetry(point)
-
-    def _age_s(self, sample: Sample) -> float:
-        return self.driver.clock() - sample.arrival_s
-
-    def _samples_clock(self) -> float:
-        return 0.0 if self._sample is None else self._sample.time_s

@@ -8,6 +8,17 @@ from service.drivers.base import Driver
 from service.faults import FaultCode
 from service.messages import Run, RunState, StartRequest
 
+_ENDED_BY = {
+    FaultCode.OPERATOR_STOP: RunState.STOPPED,
+    FaultCode.CLIENT_LOST: RunState.STOPPED,
+    FaultCode.INTERRUPTED: RunState.INTERRUPTED,
+}
+
+
+def ended_by(code: FaultCode) -> RunState:
+    """How a run ends that a latching stop with this code has ended."""
+    return _ENDED_BY.get(code, RunState.LATCHED)
+
 
 class Runs:
     """Begins, ends and finds runs; each change goes to the journal.
@@ -23,6 +34,10 @@ class Runs:
         self._journal = journal
         self._last: Run | None = None
         self.active: ActiveRun | None = None
+
+    @property
+    def active_id(self) -> str | None:
+        return None if self.active is None else self.active.accepted.id
 
     def begin(self, request: StartRequest, driver: Driver, host: RunHost) -> ActiveRun:
         """Make the run under way; it is journalled once it has been accepted."""

@@ -1,7 +1,6 @@
 """One test per fault that a cell must survive, by what the arm does and what the record says."""
 
 import os
-import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cell.inference import ThreadInference
 from service.drivers.base import Program, Sample, StopReason
 from service.faults import FaultCode
 from service.messages import CellState, Reason, Refused, ResetRequest, RunState, StatusResult, StopRequest
-from service.policy.model import Policy
 from service.testing import cell_config, lockstep_cell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyBench, FaultyCell
@@ -197,115 +194,6 @@ async def test_22_a_world_laid_out_anew_under_a_run_source(faulty_cell: FaultyCe
         run = await faulty.running()
         await spoil_and_time(faulty, once(lambda sample: [replace(sample, episode=sample.episode + 1)]))
         await faulty.assert_latched(run, FaultCode.SOURCE)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-async def test_24_policy_answers_nan_policy_invalid(
-    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch, bad: float
-) -> None:
-    async with faulty_cell() as faulty:
-        run = await faulty.running()
-        sent = len(faulty.driver.said("target"))
-        whole = Policy.act
-        monkeypatch.setattr(Policy, "act", lambda self, *given: (np.full_like(whole(self, *given)[0], bad), None))
-        await faulty.assert_latched(run, FaultCode.POLICY_INVALID)
-        assert len(faulty.driver.said("target")) == sent, "nothing of it was sent"
-
-
-async def test_25_actions_times_100_are_clamped_then_latch_bounds(
-    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with faulty_cell() as faulty:
-        run = await faulty.running()
-        before, whole = len(faulty.bench.records), Policy.act
-
-        def times_100(policy: Policy, *given: np.ndarray) -> tuple[np.ndarray, None]:
-            action, _ = whole(policy, *given)
-            return 100.0 * np.where(np.abs(action) > 0.2, action, 1.0), None
-
-        monkeypatch.setattr(Policy, "act", times_100)
-        await faulty.assert_latched(run, FaultCode.BOUNDS)
-        wild = faulty.bench.records[before:]
-        limits = faulty.bench.cell.config.limits
-        assert len(wild) == limits.clamped_steps
-        previous = faulty.bench.records[before - 1].target.position
-        for record in wild:
-            assert np.linalg.norm(record.target.position - previous) <= limits.max_step_m + 1e-12
-            assert np.abs(record.displacement).max() < 0.2
-            previous = record.target.position
-
-
-async def test_26_inference_that_hangs_policy_deadline_while_the_monitor_goes_on(
-    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    release = threading.Event()
-    limits = {"policy_deadline_s": 0.25, "target_age_s": 0.5}
-    async with faulty_cell(inference=ThreadInference, limits=limits) as faulty:
-        hung = Policy.act
-
-        def hang(policy: Policy, *given: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-            release.wait(30.0)
-            return hung(policy, *given)
-
-        run = await faulty.bench.start(EASY)
-        monkeypatch.setattr(Policy, "act", hang)
-        await faulty.bench.state(CellState.RUNNING)
-        samples = faulty.bench.cell.status().counters.samples
-        sent = len(faulty.driver.said("target"))
-        ended = await faulty.assert_latched(run, FaultCode.POLICY_DEADLINE)
-        assert ended.steps == 0
-        assert len(faulty.driver.said("target")) == sent, "it held"
-        assert faulty.bench.cell.status().counters.samples - samples > 100
-        release.set()
-        await faulty.bench.let_pass(0.2)
-        assert len(faulty.driver.said("target")) == sent, "an answer that comes after the stop is dropped"
-
-
-@pytest.mark.parametrize(
-    ("spoil", "reason"),
-    [
-        (lambda data: b"", "CORRUPT"),
-        (lambda data: data[: len(data) // 2], "CORRUPT"),
-        (lambda data: b"\0" * (17 * 2**20), "TOO_LARGE"),
-        (None, "UNREADABLE"),
-    ],
-    ids=["empty", "half", "oversized", "missing"],
-)
-async def test_29_a_broken_policy_refuses_its_recipe_and_the_cell_is_well(
-    tmp_path: Path, spoil: object, reason: str
-) -> None:
-    policy = policies.still(tmp_path)
-    if callable(spoil):
-        policy.write_bytes(spoil(policy.read_bytes()))
-    else:
-        policy.unlink()
-    async with lockstep_cell(cell_config(tmp_path / "state", policy)) as bench:
-        with pytest.raises(AssertionError, match=f"POLICY_REFUSED: {reason}"):
-            await bench.start()
-        assert bench.cell.state is CellState.READY
-        assert bench.cell.journal.latch is None
-        assert bench.cell.journal.ledger.newest(10) == ()
-
-
-async def test_27_a_contract_that_does_not_fit_is_refused_with_the_mismatch(tmp_path: Path) -> None:
-    policy = policies.still(tmp_path, parts=("cir",))
-    async with lockstep_cell(cell_config(tmp_path / "state", policy)) as bench:
-        with pytest.raises(AssertionError, match="trained for cir, the cell assembles tr"):
-            await bench.start()
-        assert bench.cell.state is CellState.READY
-
-
-async def test_28_a_policy_replaced_on_disk_runs_on_and_is_refused_next_time(
-    faulty_cell: FaultyCell, tmp_path: Path
-) -> None:
-    policy = policies.straight(tmp_path)
-    async with faulty_cell(policy) as faulty:
-        run = await faulty.running()
-        policy.write_bytes(policies.still(tmp_path).read_bytes())
-        assert (await faulty.bench.ended(run)).state is RunState.SUCCEEDED
-        with pytest.raises(AssertionError, match=r"POLICY_REFUSED.*was replaced"):
-            await faulty.bench.start()
-        assert faulty.bench.cell.state is CellState.READY
 
 
 async def test_30_a_target_that_jumps_is_rejected_by_the_arm_bounds(faulty_cell: FaultyCell) -> None:

@@ -1,0 +1,118 @@
+"""What the cell knows of its arm: every sample judged, the newest believed one kept, the rest counted."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from service.cell.plan import plan_monitor
+from service.config import LimitsSection
+from service.drivers.base import Program, Sample
+from service.faults import FaultCode
+from service.messages import Counters
+from service.safety.monitor import Monitor
+from service.safety.verdict import PASSED, Verdict
+
+UNBELIEVED = frozenset({FaultCode.SENSOR_INVALID, FaultCode.SOURCE, FaultCode.LINK})
+"""Faults after which the sample itself is not used for anything."""
+FIRST_SAMPLE_S = 2.0
+"""Time after connecting in which the first sample must come."""
+
+
+class Intake:
+    """Judges the samples of one arm.
+
+    Args:
+        limits: of the cell.
+        clock: the driver's, which stamps arrivals.
+
+    Attributes:
+        sample: the newest believed one since `renew`.
+        accepted: samples believed so far.
+    """
+
+    def __init__(self, limits: LimitsSection, clock: Callable[[], float]) -> None:
+        self._limits = limits
+        self._clock = clock
+        self._monitor = Monitor(plan_monitor(limits, limits.force_ceiling_n))
+        self._renewed_at = 0.0
+        self._ignored = self._missed = 0
+        self.sample: Sample | None = None
+        self.accepted = 0
+
+    def judge(self, sample: Sample) -> Verdict:
+        """Judge a sample on its arrival, and keep it if it can be believed."""
+        verdict = self._monitor.check(
+            epoch=sample.epoch,
+            episode=sample.episode,
+            seq=sample.seq,
+            time_s=sample.time_s,
+            wrench=sample.wrench,
+            motion=np.concatenate((sample.q, sample.qd, sample.tcp_position, sample.tcp_rotvec, sample.tcp_velocity)),
+            saturated=sample.saturated,
+            now=sample.arrival_s,
+        )
+        if not verdict.accepted:
+            self._ignored += 1
+        elif verdict.fault not in UNBELIEVED:
+            self.accepted += 1
+            if self.sample is not None:
+                self._missed += max(0, sample.seq - self.sample.seq - 1)
+            self.sample = sample
+        return verdict
+
+    def renew(self, force_ceiling_n: float | None = None) -> None:
+        """Expect another source or another world: the next sample is the first.
+
+        Args:
+            force_ceiling_n: of a run; None: the cell's.
+        """
+        ceiling = self._limits.force_ceiling_n if force_ceiling_n is None else force_ceiling_n
+        self._monitor = Monitor(plan_monitor(self._limits, ceiling))
+        self._renewed_at = self._clock()
+        self.sample = None
+
+    def overdue(self) -> Verdict:
+        """Judge the silence; a source that was just connected has time for its first sample."""
+        patience_s = FIRST_SAMPLE_S if self.sample is None else self._limits.sample_age_s
+        now = self._clock()
+        return PASSED if now - self._renewed_at < patience_s else self._monitor.overdue(now)
+
+    def clear_peak(self) -> None:
+        """Start a new peak, at the start of a run."""
+        self._monitor.clear_peak()
+
+    @property
+    def peak_force_n(self) -> float:
+        return self._monitor.peak_force_n
+
+    @property
+    def force_n(self) -> float:
+        return self._monitor.force_n
+
+    @property
+    def age_s(self) -> float:
+        """Of the newest believed sample; infinite without one."""
+        return float("inf") if self.sample is None else self._clock() - self.sample.arrival_s
+
+    @property
+    def is_fresh(self) -> bool:
+        return self.age_s < self._limits.sample_age_s
+
+    @property
+    def time_s(self) -> float:
+        """The arm's clock at the newest sample; 0 without one."""
+        return 0.0 if self.sample is None else self.sample.time_s
+
+    @property
+    def in_protective_stop(self) -> bool:
+        return self.sample is not None and self.sample.program is Program.PROTECTIVE_STOP
+
+    def counters(self, telemetry_dropped: int, loop_overruns: int) -> Counters:
+        """What became of the samples so far, with what others counted."""
+        return Counters(
+            samples=self.accepted,
+            samples_ignored=self._ignored,
+            samples_missed=self._missed,
+            telemetry_dropped=telemetry_dropped,
+            loop_overruns=loop_overruns,
+        )
