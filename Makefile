@@ -86,8 +86,10 @@ docs-check: $(DEV) ## links between documents, and the documents that must exist
 # --- training and measurements --------------------------------------------------------------------------------------
 
 .PHONY: train evaluate benchmark
-train: $(TRAINING) ## train a policy for the triangle (ARGS="NAME --steps 2000000 ..."; ARGS=--help)
-	$(BIN)/python -m training train $(or $(ARGS),triangle --workers $(shell nproc) --threads 1)
+train: $(TRAINING) ## train the shipped policy anew, in two runs of about half an hour (others: python -m training train --help)
+	$(BIN)/python -m training train triangle-1
+	$(BIN)/python -m training train triangle-2 --from var/training/triangle-1/final.zip --steps 3000000 --learning-rate 3e-4 --seed 1
+	$(BIN)/python -m training export var/training/triangle-2/final.zip var/training/triangle-vftm.onnx --name tr-vftm-dsl
 
 evaluate: $(TRAINING) ## success over fresh seeds, with intervals (ARGS="MODEL --episodes 500 ..."; ARGS=--help)
 	$(BIN)/python -m training evaluate $(or $(ARGS),$(MODEL))

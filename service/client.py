@@ -249,7 +249,10 @@ class CellClient:
                 f"no answer from cell {self._cell} at {', '.join(self._connect)} within {timeout_s} s: "
                 "is `python -m service run` up?"
             )
-        return answer.validate_json(answers[0])
+        try:
+            return answer.validate_json(answers[0])
+        except ValidationError as error:
+            raise CellError(f"the control process gave an answer that this client cannot read: {error}") from error
 
 
 def _offer(queues: set[asyncio.Queue[T]], item: T) -> None:

@@ -44,7 +44,7 @@ class Limits:
         target_age_s: time without a new target after which it stops.
     """
 
-    max_speed: tuple[float, float] = (0.1, 1.0)
+    max_speed: tuple[float, float] = (0.1, 3.0)
     max_step: tuple[float, float] = (0.012, 0.30)
     workspace: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0.15, -0.26, 0.01), (0.45, 0.04, 0.40))
     force_ceiling_n: float = 30.0

@@ -22,7 +22,7 @@ class TaskSource:
     """
 
     part: Part = "tr"
-    clearance_m: tuple[float, float] = (0.5e-3, 2.5e-3)
+    clearance_m: tuple[float, float] = (0.8e-3, 2.6e-3)
     conditions: Conditions = "standard"
     randomise_plant: bool = True
 

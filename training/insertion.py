@@ -270,7 +270,7 @@ def command_bounds(ticks_per_step: int, limits: Limits) -> bounds.BoundsParamete
         step_m=limits.max_step[0],
         step_rad=limits.max_step[1],
         speed_mps=limits.max_speed[0],
-        speed_radps=3.0,
+        speed_radps=limits.max_speed[1],
         leash_m=limits.max_step[0],
         leash_rad=limits.max_step[1],
         workspace_lower=lower,

@@ -1,4 +1,4 @@
-"""Settings of one training: what `python -m training train` offers, and its defaults."""
+"""Settings of one training: what `python -m training train` offers. The defaults trained the shipped policy, on two cores."""
 
 from dataclasses import dataclass
 
@@ -21,21 +21,21 @@ class Recipe:
         seed: of the network, the exploration and the tasks.
     """
 
-    steps: int = 2_000_000
+    steps: int = 2_500_000
     cells: int = 128
-    workers: int = 1
+    workers: int = 2
     rollout: int = 64
-    hidden: tuple[int, ...] = (256, 256)
+    hidden: tuple[int, ...] = (256, 128)
     learning_rate: float = 5e-4
-    batch: int = 1024
-    epochs: int = 8
+    batch: int = 2048
+    epochs: int = 4
     gamma: float = 0.99
     gae_lambda: float = 0.95
     entropy: float = 1e-3
     target_kl: float | None = None
     initial_log_std: float = -0.5
     reward: RewardName = "potential"
-    threads: int = 0
-    torch_threads: int = 0
+    threads: int = 1
+    torch_threads: int = 1
     seed: int = 0
     device: str = "cpu"

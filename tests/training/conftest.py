@@ -15,7 +15,7 @@ def untrained() -> Any:
     from training.episodes import TaskSource
     from training.learn import Recipe, build
 
-    return build(SHORT, TaskSource(), Recipe(cells=2, rollout=8, batch=16, hidden=(32, 32)))
+    return build(SHORT, TaskSource(), Recipe(cells=2, workers=1, rollout=8, batch=16, hidden=(32, 32)))
 
 
 @pytest.fixture(scope="session")

@@ -54,7 +54,7 @@ def test_a_short_training_earns_clearly_more_on_seeds_it_has_never_seen(tmp_path
 
 
 def test_a_training_may_go_on_from_an_earlier_one_and_end_by_the_clock(tmp_path: Path) -> None:
-    tiny = Recipe(steps=10**9, cells=2, rollout=4, batch=8, epochs=1, hidden=(8,), threads=1)
+    tiny = Recipe(steps=10**9, cells=2, workers=1, rollout=4, batch=8, epochs=1, hidden=(8,), threads=1)
     first = learn(CONTRACT, TASKS, tiny, tmp_path / "first", deadline_s=0.0)
     assert first.num_timesteps < 100
     second = learn(CONTRACT, TASKS, tiny, tmp_path / "second", tmp_path / "first" / "final.zip", deadline_s=0.0)
