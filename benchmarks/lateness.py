@@ -112,7 +112,8 @@ async def _operate(shipped: ShippedCell, seconds: float) -> tuple[int, str]:
                 latches[status.latch.code] += 1
                 await operating.reset(client)
             elif client.state is CellState.READY:
-                await operating.start(client, shipped.recipe, seed)
+                with contextlib.suppress(operating.LatchedError):
+                    await operating.start(client, shipped.recipe, seed)
                 seed += 1
             await asyncio.sleep(0.05)
         status = client.last_status

@@ -12,7 +12,7 @@ from benchmarks.result import UnavailableError
 
 ROOT = Path(__file__).resolve().parents[1]
 READY = "ready"
-START_TIMEOUT_S = 30.0
+START_TIMEOUT_S = 90.0
 
 
 def free_port() -> int:
