@@ -72,7 +72,7 @@ class LimitsSection(Section):
         max_turn_rad: the same for the yaw.
         max_speed_m_s: of targets and of the arm's reference.
         max_turn_speed_rad_s: the same for the yaw.
-        max_tilt_rad: of the tool from straight down.
+        max_tilt_rad: of the tool from straight down; the shipped policy stays within 0.021.
         max_stiffness: N/m and N·m/rad that the control program runs; a policy that wants more is refused.
         workspace_m: lower and upper corner of the box that the TCP stays in, base frame.
         yaw_range_rad: how far the yaw may go from the start yaw, either way.
@@ -90,7 +90,7 @@ class LimitsSection(Section):
     max_turn_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = 0.30
     max_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = 0.1
     max_turn_speed_rad_s: Annotated[float, Field(gt=0.0, le=3.0, allow_inf_nan=False)] = 3.0
-    max_tilt_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = 0.1
+    max_tilt_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = 0.05
     max_stiffness: SixPositive = (3000.0, 3000.0, 3000.0, 100.0, 100.0, 100.0)
     workspace_m: Box
     yaw_range_rad: Annotated[float, Field(gt=0.0, le=3.14159, allow_inf_nan=False)] = 1.45

@@ -305,13 +305,14 @@ class Insertion:
             yield Halt(FaultCode.POLICY_INVALID, f"the policy answered {action.tolist()}; nothing was sent")
             return
         yaw, tilt = yaw_and_tilt(sample.tcp_rotvec)
+        lean = float(np.linalg.norm(tilt))
         displacement = plan.action.displacement(action, yaw)
         self._previous_action = plan.action.unit(action)
         felt = np.array(self._window)[-plan.lock_samples :].mean(0)
         self._dsl_state, locked = dsl.step(plan.dsl, self._dsl_state, sample.tcp_position, felt, displacement)
         bounded = bounds.apply(
             plan.bounds, sample.tcp_position, yaw, locked.position, yaw + locked.dyaw,
-            self._target, self._target_yaw, np.linalg.norm(tilt),
+            self._target, self._target_yaw, lean,
         )  # fmt: skip
         order = self._move(bounded.position, float(bounded.yaw))
         depth = self._depth(sample)
@@ -319,6 +320,11 @@ class Insertion:
             self.steps, sample, observation, action, displacement, locked, bounded, order.target, depth
         )
         self.steps += 1
+        if bool(bounded.tilt):
+            self._stage = Stage.ENDED
+            text = f"the tool is tilted by {lean:.3f} rad, limit {plan.bounds.tilt_rad:g} rad; nothing was sent"
+            yield Halt(FaultCode.BOUNDS, text)
+            return
         excess, change = float(plan.action.excess(action)), float(bounded.excess)
         outrageous = excess > OUTRAGEOUS_ACTION or change > OUTRAGEOUS_CHANGE
         self._outrageous = self._outrageous + 1 if outrageous else 0

@@ -36,7 +36,7 @@ class BoundsParameters:
         workspace_upper: upper corner.
         yaw_centre_rad: middle of the yaw range.
         yaw_half_range_rad: half of the yaw range; π allows every yaw.
-        tilt_rad: largest measured tilt, rad. A command has no tilt, so this one is only reported.
+        tilt_rad: largest measured tilt, rad. A command has no tilt to bound: beyond this the caller must stop.
     """
 
     period_s: float
@@ -79,7 +79,7 @@ class BoundedCommand:
             Latch POLICY_INVALID.
         leash, step, speed: (...) which bound changed the command, in position or yaw.
         workspace, yaw_range: likewise.
-        tilt: (...) the measured tilt is beyond its limit.
+        tilt: (...) the measured tilt is beyond its limit, or not a number. Latch BOUNDS.
         excess: (...) asked change over allowed change of the target, the larger of position and yaw; above 1 it was
             cut. A run counts large ones in a row.
     """

@@ -12,6 +12,7 @@ from service.drivers.base import Program, Sample, StopReason
 from service.faults import FaultCode
 from service.messages import CellState, Reason, Refused, ResetRequest, RunState, StatusResult, StopRequest
 from service.testing import cell_config, lockstep_cell
+from sim_backend.protocol import pose
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyBench, FaultyCell
 from tests.service.cell.faulty_driver import Spoil, speed, with_wrench
@@ -205,6 +206,25 @@ async def test_30_a_target_that_jumps_is_rejected_by_the_arm_bounds(faulty_cell:
         faulty.driver.send_target(jump)
         await faulty.assert_latched(run, FaultCode.BOUNDS)
         assert np.abs(faulty.driver.truth.tcp_position - before).max() < 5e-3, "it did not go there"
+
+
+def tilted(sample: Sample, by_rad: float) -> Sample:
+    """The sample with its tool leaning over about the base frame's x axis."""
+    turn = np.array([[1, 0, 0], [0, np.cos(by_rad), -np.sin(by_rad)], [0, np.sin(by_rad), np.cos(by_rad)]])
+    rotation = turn @ pose.rotation_from_rotvec(sample.tcp_rotvec)
+    return replace(sample, tcp_rotvec=pose.rotvec_from_rotation(rotation))
+
+
+async def test_a_tool_tilted_beyond_its_limit_gets_no_target_and_latches_bounds(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        limit = faulty.bench.cell.config.limits.max_tilt_rad
+        sent = len(faulty.driver.said("target"))
+        await spoil_and_time(faulty, lambda sample: [tilted(sample, 1.5 * limit)])
+        ended = await faulty.assert_latched(run, FaultCode.BOUNDS)
+        assert len(faulty.driver.said("target")) == sent
+        assert f"limit {limit:g} rad" in ended.text
+        assert float(ended.text.split("tilted by ")[1].split(" rad")[0]) == pytest.approx(1.5 * limit, abs=0.02)
 
 
 async def test_31_the_arm_cannot_follow_kinematics(faulty_cell: FaultyCell) -> None:
