@@ -46,7 +46,9 @@ def train(
     ] = _TASKS.randomise_plant,
     reward: Annotated[RewardName, typer.Option(help="Which reward.")] = _RECIPE.reward,
     hidden: Annotated[str, typer.Option(help="Layers of actor and critic.")] = ",".join(map(str, _RECIPE.hidden)),
-    cells: Annotated[int, typer.Option(min=1, help="Stepped together, over all workers.")] = _RECIPE.cells,
+    cells: Annotated[
+        int, typer.Option(min=1, help="Stepped together, over all workers; rounded down to a multiple of these.")
+    ] = _RECIPE.cells,
     workers: Annotated[int, typer.Option(min=1, help="Processes; one per core is fastest.")] = _RECIPE.workers,
     threads: Annotated[int, typer.Option(min=0, help="Of the physics, per worker; 0: one per core.")] = _RECIPE.threads,
     torch_threads: Annotated[
@@ -68,8 +70,11 @@ def train(
     directory = RUNS / name
     if (directory / "final.zip").exists():
         _fail(f"{directory} holds a finished run: choose another name")
+    if cells < workers:
+        _fail(f"{cells} cells are too few for {workers} workers: each wants one at least")
     if cells % workers:
-        _fail(f"{cells} cells do not divide evenly over {workers} workers")
+        asked, cells = cells, cells - cells % workers
+        typer.echo(f"{asked} cells do not divide evenly over {workers} workers: training with {cells}", err=True)
     if lock and lock not in get_args(dsl.Mode):
         _fail(f"--lock must be one of {', '.join(get_args(dsl.Mode))}, not {lock!r}")
     span = clearance[0] * 1e-3, clearance[1] * 1e-3

@@ -1,4 +1,4 @@
-"""Settings of one training: what `python -m training train` offers. The defaults trained the shipped policy, on two cores."""
+"""Settings of one training: what `python -m training train` offers, by default as the shipped policy was trained."""
 
 from dataclasses import dataclass
 

@@ -71,11 +71,20 @@ def test_an_evaluation_prints_a_row_per_clearance_and_records_it_only_when_told(
     assert (figure.clearance_m, figure.conditions, figure.episodes) == (3e-3, "easy", 2)
 
 
+def test_cells_that_do_not_divide_over_the_workers_are_rounded_down_and_it_says_so(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    said = run("train", "odd", *TINY, "--cells", "5", "--workers", "2")
+    assert "5 cells do not divide evenly over 2 workers: training with 4" in said
+    assert json.loads((here / "var/training/odd/recipe.json").read_text())["recipe"]["cells"] == 4
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
         (["evaluate", "missing.onnx"], "cannot read missing.onnx"),
-        (["train", "x", "--cells", "5", "--workers", "2"], "do not divide evenly"),
+        (["train", "x", "--cells", "2", "--workers", "3"], "2 cells are too few for 3 workers"),
         (["train", "x", "--lock", "bolt"], "--lock must be one of"),
         (["train", "x", "--mode", "VM", "--lock", "paper"], "VM bypasses the lock"),
         (["train", "x", "--clearance", "0", "2"], "clearance_m must lie in"),
