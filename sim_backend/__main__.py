@@ -1,4 +1,4 @@
-"""Command line of the simulated cell: `python -m sim_backend serve` and `python -m sim_backend render`."""
+"""Command line of the simulated cell: `python -m sim_backend` serves it, `python -m sim_backend render` draws it."""
 
 import os
 import signal
@@ -18,32 +18,34 @@ from sim_backend.cell import SimulatedCell
 from sim_backend.protocol.task import Part, Task
 from sim_backend.realtime import request_scheduling
 from sim_backend.server import Mode, Server
-from sim_backend.session import EndpointError, open_session
+from sim_backend.session import DEFAULT_ENDPOINT, DEFAULT_WORLD, EndpointError, open_session
 
 EXIT_USAGE = 2
 """The request cannot be met as stated: a bad option, a port in use."""
 EXIT_NO_RENDERING = 3
 """This machine lacks what rendering needs."""
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 _PARTS = ", ".join(get_args(Part))
 
 
 @app.command()
 def serve(
-    world: Annotated[str, typer.Option(help="Name of the world in its Zenoh keys, sim/<world>/….")] = "cell-1",
+    world: Annotated[str, typer.Option(help="Name of the world in its Zenoh keys, sim/<world>/….")] = DEFAULT_WORLD,
     mode: Annotated[Mode, typer.Option(help="Who lets simulated time pass: the wall clock, or the client.")] = (
         Mode.REAL_TIME
     ),
-    listen: Annotated[list[str] | None, typer.Option(help="Endpoint to listen at; may be repeated.")] = None,
+    listen: Annotated[
+        list[str] | None, typer.Option(help=f"Endpoint to listen at, {DEFAULT_ENDPOINT} unless given; may be repeated.")
+    ] = None,
     connect: Annotated[list[str] | None, typer.Option(help="Endpoint to join; may be repeated.")] = None,
     part: Annotated[str, typer.Option(help=f"Peg and hole of the first episode: {_PARTS}.")] = "tr",
     seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
     allow_remote: Annotated[bool, typer.Option(help="Allow endpoints outside this machine.")] = False,
 ) -> None:
-    """Serve a simulated cell over Zenoh until SIGINT or SIGTERM."""
+    """Serve a simulated cell over Zenoh until SIGINT or SIGTERM (the default command)."""
     _exit_on_signals()
-    endpoints = listen or ["tcp/127.0.0.1:7447"]
+    endpoints = listen or [DEFAULT_ENDPOINT]
     try:
         task = Task.from_json({"seed": seed, "part": part})
         session = open_session(endpoints, connect or [], allow_remote=allow_remote)
@@ -81,7 +83,7 @@ def render(
         cell = SimulatedCell(task.part)
         cell.reset(task)
         with rendering.Renderer(task.part, task.clearance_m, width, height, _BACKEND) as renderer:
-            picture = renderer.draw(cell.data(), camera)
+            picture = renderer.draw(cell.model(), cell.data(), camera)
         rendering.write_png(out, picture)
     except rendering.RenderingUnavailableError as error:
         _fail(str(error), EXIT_NO_RENDERING)
@@ -107,5 +109,11 @@ def _fail(text: str, code: int) -> NoReturn:
     raise typer.Exit(code)
 
 
+def _with_command(arguments: list[str]) -> list[str]:
+    """Put `serve` where no command is named: before options alone, or nothing."""
+    named = arguments and (arguments[0] == "--help" or not arguments[0].startswith("-"))
+    return arguments if named else ["serve", *arguments]
+
+
 if __name__ == "__main__":
-    app()
+    app(_with_command(sys.argv[1:]))

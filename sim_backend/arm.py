@@ -304,7 +304,7 @@ class ArmController:
         self.joints[cells] = joints
         mass, centre = self._payload
         lift = kinematics.jacobian(joints, np.array([0.0, 0.0, centre]))[:, 2, :]
-        self._sag[cells] = self._compliance * (mass * 9.81) * lift
+        self._sag[cells] = self._compliance * (mass * kinematics.GRAVITY_M_S2) * lift
 
     def _tcp(self, flange: Array, rotation: Array) -> tuple[Array, Array]:
         """Position (k, 3) and quaternion (k, 4) of the TCP for a flange's pose."""

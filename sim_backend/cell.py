@@ -52,12 +52,12 @@ class SimulatedCell:
         self._client = 0
         self._command_seq = 0
 
-    @property
     def model(self) -> mujoco.MjModel:
-        return self._world.model
+        """Copy the MuJoCo model of the present episode: its clearance, grasp and plant."""
+        return self._world.model()
 
     def data(self) -> mujoco.MjData:
-        """The present state as MuJoCo data, for rendering."""
+        """The present state as MuJoCo data, for rendering; it goes with `model()`."""
         return self._world.data()
 
     def reset(self, task: Task) -> Record:

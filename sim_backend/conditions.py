@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sim_backend.protocol.task import Task
+from sim_backend.protocol.task import SENSOR_DELAY_TICKS, Task
 from sim_backend.scene import NOMINAL_HOLE_M
 
 Array = npt.NDArray[np.float64]
@@ -22,6 +22,8 @@ ESTIMATE_JITTER_M = 0.17e-3
 FRICTION = 0.3
 NOISE_ROWS = 4096
 """Ticks of sensor noise drawn per episode; an episode longer than that (8.2 s) hears it again."""
+CAMERA_FRAMES = 64
+"""Frames of the camera's jitter drawn per episode; a longer one sees them again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +53,12 @@ class Episode:
         friction: sliding, peg on block.
         stiffness_scale: of the compliance law and the fingers, relative to nominal.
         mass_scale: of the gripper and the peg.
-        sensor_delay: ticks from force to sample, 1–4 (2–8 ms).
+        sensor_delay: ticks from force to sample, 1–4 (2–8 ms): drawn, unless the task names it.
         target_delay: ticks from a target's arrival to its effect.
         bias: (6,) of the raw sensor, N and N·m.
         drift: (6,) of that bias, per second.
         wrench_noise: (NOISE_ROWS, 6) float32, N and N·m, one row per tick.
-        estimate_noise: (64, 3) jitter of the estimate, one row per camera frame.
+        estimate_noise: (CAMERA_FRAMES, 3) jitter of the estimate, one row per camera frame.
     """
 
     hole_position: Array
@@ -85,13 +87,13 @@ def draw(task: Task) -> Episode:
     offset = rng.normal(0.0, ranges.estimate_sigma_m)
     grasp = rng.normal(0.0, ranges.grasp_sigma_m, 2)
     hover = rng.uniform(0.020, 0.030)
-    delay = int(rng.integers(1, 5))
+    delay = int(rng.integers(SENSOR_DELAY_TICKS[0], SENSOR_DELAY_TICKS[1] + 1))
     bias = rng.normal(0.0, [2.0] * 3 + [0.1] * 3)
     drift = rng.normal(0.0, [FORCE_DRIFT_N_PER_S] * 3 + [TORQUE_DRIFT_NM_PER_S] * 3)
     plant = rng.uniform(size=4)
     noise = rng.standard_normal((NOISE_ROWS, 6), np.float32)
     noise *= np.array([FORCE_NOISE_N] * 3 + [TORQUE_NOISE_NM] * 3, np.float32)
-    jitter = rng.normal(0.0, ESTIMATE_JITTER_M, (64, 3))
+    jitter = rng.normal(0.0, ESTIMATE_JITTER_M, (CAMERA_FRAMES, 3))
     varied = task.randomise_plant
     return Episode(
         hole_position=hole,
@@ -102,7 +104,7 @@ def draw(task: Task) -> Episode:
         friction=0.1 + 0.5 * float(plant[0]) if varied else FRICTION,
         stiffness_scale=0.6 + 0.8 * float(plant[1]) if varied else 1.0,
         mass_scale=0.8 + 0.4 * float(plant[2]) if varied else 1.0,
-        sensor_delay=delay,
+        sensor_delay=delay if task.sensor_delay_ticks is None else task.sensor_delay_ticks,
         target_delay=int(plant[3] * 11) if varied else 2,
         bias=bias,
         drift=drift,

@@ -17,6 +17,9 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
+GRAVITY_M_S2 = 9.81
+"""Along the base's -z: the arm stands upright."""
+
 
 class KinematicsError(ValueError):
     """A pose that the arm cannot take; the text names the pose."""

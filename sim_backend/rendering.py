@@ -55,11 +55,12 @@ class Renderer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def draw(self, state: mujoco.MjData, camera: str = "overview") -> npt.NDArray[np.uint8]:
+    def draw(self, model: mujoco.MjModel, state: mujoco.MjData, camera: str = "overview") -> npt.NDArray[np.uint8]:
         """Draw a state.
 
         Args:
-            state: of a cell with this part; only its positions are read.
+            model: of a cell with this part; the grasp is read from it. The walls are those of `clearance_m`.
+            state: of that cell; only its positions are read.
             camera: one of `appearance.CAMERAS`.
 
         Returns:
@@ -70,6 +71,7 @@ class Renderer:
         """
         if camera not in appearance.CAMERAS:
             raise ValueError(f"no camera {camera!r} in the scene, it has {', '.join(appearance.CAMERAS)}")
+        self._model.body("peg").pos = model.body("peg").pos
         data = self._data
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = state.qpos, state.mocap_pos, state.mocap_quat
         mujoco.mj_kinematics(self._model, data)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from sim_backend.kinematics import UR3E
+from sim_backend.kinematics import GRAVITY_M_S2, UR3E
 from sim_backend.parts import HOLE_DEPTH_M, PARTS, Part, hole_walls, wall_centres
 from sim_backend.protocol.wire import TICK_S
 
@@ -108,7 +108,7 @@ def specify(part_name: str, clearance_m: float) -> mujoco.MjSpec:
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     # walls move per simulation, away from the bounding volumes that compilation made
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
-    option.gravity = [0, 0, -9.81]
+    option.gravity = [0, 0, -GRAVITY_M_S2]
 
     _add_surroundings(spec)
     _add_block(spec, part, clearance_m)

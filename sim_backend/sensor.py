@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sim_backend.conditions import NOISE_ROWS, Episode
+from sim_backend.kinematics import GRAVITY_M_S2
 from sim_backend.protocol.wire import TICK_S
 
 Array = npt.NDArray[np.float64]
@@ -18,7 +19,6 @@ RANGE = np.array([30.0] * 3 + [10.0] * 3)
 MAX_DELAY = 8
 ZERO_TICKS = 100
 """Time constant of the average that a zero is taken from: one sample would carry its noise into everything after."""
-GRAVITY = 9.81
 
 
 class ForceTorqueSensor:
@@ -32,7 +32,7 @@ class ForceTorqueSensor:
     """
 
     def __init__(self, n: int, payload_kg: float, payload_com_m: float, tcp_offset_m: float) -> None:
-        self._weight = payload_kg * GRAVITY
+        self._weight = payload_kg * GRAVITY_M_S2
         self._com = payload_com_m
         self._tcp = tcp_offset_m
         self._rows = np.arange(n)

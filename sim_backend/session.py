@@ -7,6 +7,10 @@ from collections.abc import Sequence
 
 import zenoh
 
+DEFAULT_WORLD = "world-1"
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7448"
+"""World and endpoint of `config/cell.toml`."""
+
 _ENDPOINT = re.compile(r"(?P<protocol>tcp|udp|tls|quic|ws)/(?P<host>\[[^\]]+\]|[^:/\[\]]+):(?P<port>\d{1,5})([?#].*)?")
 
 

@@ -12,7 +12,7 @@ from mujoco.batch import Batch
 
 from sim_backend import kinematics, scene
 from sim_backend.arm import ArmController, Limits
-from sim_backend.conditions import Episode, draw
+from sim_backend.conditions import CAMERA_FRAMES, Episode, draw
 from sim_backend.parts import hole_walls, wall_centres
 from sim_backend.protocol import pose
 from sim_backend.protocol.task import Part, Task
@@ -54,7 +54,6 @@ class World:
         self.part: Part = part
         self._scene = scene.build(part)
         model = self._scene.model
-        self.model = model
         self._batch = Batch(model, nsim=n, nthread=threads)
         batch = self._batch
         self._qpos, self._qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
@@ -87,7 +86,7 @@ class World:
         self.position, self.rotation = np.zeros((n, 3)), np.zeros((n, 3, 3))
         self.estimate = np.zeros((n, 3))
         self._offset = np.zeros((n, 3))
-        self._jitter = np.zeros((n, 64, 3))
+        self._jitter = np.zeros((n, CAMERA_FRAMES, 3))
         self.ticks = np.zeros(n, np.int64)
         self._stiffness_scale = np.ones(n)
         self.reset(self._all, [Task(i, part) for i in range(n)])
@@ -119,8 +118,9 @@ class World:
             self._friction[cell, :, 0] = episode.friction
             self._body_position[cell, self._scene.peg_body, :2] = episode.grasp_offset
             carried = [self._scene.gripper_body, self._scene.peg_body]
-            self._mass[cell, carried] = self.model.body_mass[carried] * episode.mass_scale
-            self._inertia[cell, carried] = self.model.body_inertia[carried] * episode.mass_scale
+            nominal = self._scene.model
+            self._mass[cell, carried] = nominal.body_mass[carried] * episode.mass_scale
+            self._inertia[cell, carried] = nominal.body_inertia[carried] * episode.mass_scale
             self._finger_stiffness[cell, -1] = scene.FINGER_STIFFNESS_NM * episode.stiffness_scale
             self._stiffness_scale[cell] = episode.stiffness_scale
             self._offset[cell] = episode.hole_position + episode.estimate_offset
@@ -174,15 +174,19 @@ class World:
 
     def camera(self, cells: Cells) -> Array:
         """(k, 3) the camera's present estimate of the hole's mouth; `estimate` holds it from the next tick on."""
-        frame = (self.ticks[cells] // ESTIMATE_TICKS) % 64
+        frame = (self.ticks[cells] // ESTIMATE_TICKS) % CAMERA_FRAMES
         return self._offset[cells] + self._jitter[cells, frame]
 
     def hover(self, cells: Cells) -> Array:
         """(k,) height above the estimate, m, at which the episode's scripted approach ends."""
         return np.array([self._episodes[int(cell)].hover_m for cell in cells])
 
+    def model(self, cell: int = 0) -> mujoco.MjModel:
+        """Copy one cell's MuJoCo model, with the walls, grasp, masses and friction of its episode."""
+        return self._batch.get_model(cell)
+
     def data(self, cell: int = 0) -> mujoco.MjData:
-        """One cell as MuJoCo data, for rendering and inspection."""
+        """One cell as MuJoCo data, for rendering and inspection; it goes with `model(cell)`."""
         return self._batch.get_data(cell)
 
     @property

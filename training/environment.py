@@ -343,7 +343,7 @@ class _Cells:
         if self._renderer is None or self._renderer[0] != clearance:
             self.close()
             self._renderer = clearance, Renderer(world.part, clearance, *PICTURE_SIZE)
-        return self._renderer[1].draw(world.data(cell))
+        return self._renderer[1].draw(world.model(cell), world.data(cell))
 
     def close(self) -> None:
         renderer, self._renderer = self._renderer, None

@@ -6,6 +6,9 @@ from typing import Any, Literal, Self
 Part = Literal["tr", "rtr", "trm", "cir", "b-rtr", "b-trm"]
 Conditions = Literal["standard", "easy"]
 
+SENSOR_DELAY_TICKS = (1, 4)
+"""Least and largest delay of the force/torque sensor."""
+
 
 @dataclass(frozen=True, slots=True)
 class Task:
@@ -17,6 +20,7 @@ class Task:
         clearance_m: distance between peg and wall when centred, per face, m.
         conditions: which distributions to draw from; `docs/conditions.md`.
         randomise_plant: draw friction, stiffness, delay, mass (training); otherwise nominal values (test).
+        sensor_delay_ticks: from force to sample, 1–4 ticks of 2 ms; None: drawn from the seed.
     """
 
     seed: int
@@ -24,6 +28,7 @@ class Task:
     clearance_m: float = 2.0e-3
     conditions: Conditions = "standard"
     randomise_plant: bool = False
+    sensor_delay_ticks: int | None = None
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -56,3 +61,9 @@ class Task:
             raise ValueError(f"task.clearance_m must lie in 0.05e-3 … 6e-3 m, not {self.clearance_m!r}")
         if type(self.randomise_plant) is not bool:
             raise ValueError(f"task.randomise_plant must be true or false, not {self.randomise_plant!r}")
+        delay = self.sensor_delay_ticks
+        if delay is not None and (
+            type(delay) is not int or not SENSOR_DELAY_TICKS[0] <= delay <= SENSOR_DELAY_TICKS[1]
+        ):
+            low, high = SENSOR_DELAY_TICKS
+            raise ValueError(f"task.sensor_delay_ticks must be null or an integer from {low} to {high}, not {delay!r}")

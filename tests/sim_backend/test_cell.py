@@ -1,3 +1,4 @@
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -5,6 +6,7 @@ from hypothesis import strategies as st
 
 from sim_backend import scene
 from sim_backend.cell import SimulatedCell
+from sim_backend.parts import PARTS
 from sim_backend.protocol.task import Task
 from sim_backend.protocol.wire import COMMAND, STATE, TICK_S, Kind, Program, StopReason, decode, new
 
@@ -242,6 +244,19 @@ def test_a_reset_changes_the_part_and_refuses_nonsense(shared):
         shared.reset(Task(0, "cir", clearance_m=1.0))
     shared.reset(Task(0))
     assert shared.part == "tr"
+
+
+def test_model_and_data_are_those_of_the_present_episode(shared):
+    for clearance in (0.5e-3, 3e-3):
+        shared.reset(Task(0, clearance_m=clearance))
+        built = scene.build("tr", clearance)
+        model, data = shared.model(), shared.data()
+        mujoco.mj_kinematics(model, data)
+        assert model.geom_pos[built.wall_geoms] == pytest.approx(built.model.geom_pos[built.wall_geoms], abs=1e-15)
+        hole = data.mocap_pos[0]
+        inner = data.geom_xpos[built.wall_geoms, :2] - hole[:2]
+        reach = np.linalg.norm(inner, axis=1) - scene.WALL_HALF_THICKNESS_M
+        assert reach == pytest.approx(PARTS["tr"].wall_reach + clearance, abs=1e-12)
 
 
 def test_the_truth_is_the_truth(cell):

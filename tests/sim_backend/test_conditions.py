@@ -1,4 +1,5 @@
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -63,6 +64,34 @@ def test_the_sensor_is_noisy_biased_drifting_and_late(standard):
     delay = column(standard, "sensor_delay")
     assert set(delay) == {1, 2, 3, 4}
     assert np.bincount(delay)[1:] == pytest.approx([N / 4] * 4, rel=0.2)
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 3, 4])
+def test_a_task_may_name_the_delay_of_its_sensor_and_nothing_else_changes(ticks):
+    drawn, named = draw(Task(5)), draw(Task(5, sensor_delay_ticks=ticks))
+    assert named.sensor_delay == ticks
+    for field in dataclasses.fields(drawn):
+        if field.name != "sensor_delay":
+            assert np.array_equal(getattr(drawn, field.name), getattr(named, field.name))
+
+
+@pytest.mark.parametrize("ticks", [0, 5, -1, 2.0, True, "2"])
+def test_a_delay_that_the_sensor_does_not_have_is_refused(ticks):
+    with pytest.raises(ValueError, match=r"task\.sensor_delay_ticks must be null or an integer from 1 to 4, not"):
+        Task.from_json({"seed": 0, "sensor_delay_ticks": ticks})
+
+
+def test_a_task_survives_json_with_and_without_a_delay():
+    for task in (Task(3), Task(3, sensor_delay_ticks=2)):
+        assert Task.from_json(json.loads(json.dumps(task.to_json()))) == task
+
+
+def test_a_seed_means_the_world_that_the_shipped_policy_was_trained_in():
+    episode = draw(Task(12345))
+    assert episode.hole_position == pytest.approx([0.2727336, -0.12282692, 0.09784193], abs=1e-8)
+    assert episode.sensor_delay == 3
+    assert episode.hover_m == pytest.approx(0.029418028652699373)
+    assert episode.estimate_noise[-1, 2] == pytest.approx(0.0001026789169159376)  # the last draw of all
 
 
 def test_a_randomised_plant_varies_as_the_standard_conditions_say(standard):

@@ -35,7 +35,7 @@ def drawn(cell: SimulatedCell, camera: str) -> np.ndarray:
     except rendering.RenderingUnavailableError as error:
         pytest.skip(str(error))
     with renderer:
-        return renderer.draw(cell.data(), camera)
+        return renderer.draw(cell.model(), cell.data(), camera)
 
 
 def orange(picture: np.ndarray) -> int:

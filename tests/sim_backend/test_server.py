@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import pytest
 import zenoh
 
 from sim_backend.protocol import wire
-from sim_backend.session import open_session
+from sim_backend.session import DEFAULT_ENDPOINT, DEFAULT_WORLD, open_session
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 20.0
@@ -25,10 +26,10 @@ CLIENT = 42
 
 
 class Process:
-    """`python -m sim_backend serve …`, from its ready line on."""
+    """`python -m sim_backend …`, from its ready line on."""
 
     def __init__(self, endpoint: str, *options: str, prefix: Sequence[str] = ()) -> None:
-        command = [*prefix, sys.executable, "-m", "sim_backend", "serve", "--listen", endpoint, *options]
+        command = [*prefix, sys.executable, "-m", "sim_backend", "--listen", endpoint, *options]
         self.popen = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         assert self.popen.stdout is not None
         line = self.popen.stdout.readline()
@@ -46,7 +47,7 @@ class Process:
 class Client:
     """A peer of one world."""
 
-    def __init__(self, session: zenoh.Session, world: str = "cell-1") -> None:
+    def __init__(self, session: zenoh.Session, world: str = "world-1") -> None:
         self.session = session
         self.world = world
 
@@ -78,7 +79,7 @@ class States:
     """The publications of a world, as they come."""
 
     def __init__(self, session: zenoh.Session) -> None:
-        self._subscriber = session.declare_subscriber("sim/cell-1/state", self._take)
+        self._subscriber = session.declare_subscriber("sim/world-1/state", self._take)
         self._news = threading.Condition()
         self.records: list[np.void] = []
 
@@ -195,6 +196,11 @@ def test_a_port_in_use_is_one_line_and_exit_code_2(free_endpoint: str) -> None:
     ]
 
 
+def test_world_and_endpoint_that_it_serves_by_default_are_those_of_the_shipped_cell() -> None:
+    sim = tomllib.loads((ROOT / "config" / "cell.toml").read_text(encoding="utf-8"))["sim"]
+    assert (sim["world"], sim["endpoint"]) == (DEFAULT_WORLD, DEFAULT_ENDPOINT)
+
+
 @pytest.mark.parametrize(
     ("options", "named"),
     [
@@ -270,7 +276,7 @@ def test_a_query_that_cannot_be_read_is_refused_and_changes_nothing(
 def test_worlds_are_found_by_a_wildcard(lockstep: Client) -> None:
     epoch = lockstep.info()["epoch"]
     (reply,) = list(lockstep.session.get("sim/*/info", timeout=PATIENCE_S))
-    assert str(reply.ok.key_expr) == "sim/cell-1/info"
+    assert str(reply.ok.key_expr) == "sim/world-1/info"
     assert json.loads(reply.ok.payload.to_bytes())["epoch"] == epoch
 
 
@@ -355,7 +361,7 @@ def test_a_flood_of_commands_hides_no_stop_and_leaves_the_world_up(free_endpoint
             if index == 1500:
                 client.send(command(wire.Kind.STOP, epoch, 0, start))
         for _ in range(200):
-            client.session.put("sim/cell-1/command", b"garbage")
+            client.session.put("sim/world-1/command", b"garbage")
         states.until(lambda state: state["stop_reason"] == wire.StopReason.COMMAND)
         states.until(lambda state: state["program"] == wire.Program.IDLE and state["episode"] == start["episode"])
         assert client.info()["counters"]["commands_malformed"] > 0
@@ -370,7 +376,7 @@ def test_it_ends_while_it_is_flooded(free_endpoint: str) -> None:
         over = threading.Event()
 
         def flood() -> None:
-            publisher = client.session.declare_publisher("sim/cell-1/command")
+            publisher = client.session.declare_publisher("sim/world-1/command")
             while not over.is_set():
                 publisher.put(b"garbage")
 

@@ -274,18 +274,31 @@ def test_a_randomised_plant_is_in_the_model_as_drawn():
     world = World(2)
     world.reset(np.arange(2), [Task(3, randomise_plant=True), Task(3)])
     episode = draw(Task(3, randomise_plant=True))
-    varied, plain = (world._batch.get_model(cell) for cell in range(2))
-    gripper, peg = (world.model.body(name).id for name in ("gripper", "peg"))
+    varied, plain = world.model(0), world.model(1)
+    gripper, peg = (plain.body(name).id for name in ("gripper", "peg"))
     for body in (gripper, peg):
         assert varied.body_mass[body] == pytest.approx(episode.mass_scale * plain.body_mass[body])
         assert varied.body_inertia[body] == pytest.approx(episode.mass_scale * plain.body_inertia[body])
     assert (varied.geom_friction[:, 0] == episode.friction).all()
     assert (plain.geom_friction[:, 0] == 0.3).all()
-    finger = world.model.joint("finger").id
+    finger = plain.joint("finger").id
     assert varied.jnt_stiffness[finger] == pytest.approx(episode.stiffness_scale * plain.jnt_stiffness[finger])
     world.engage(np.arange(2), *LAW, FREE)
     assert world.arm.law.stiffness[0] == pytest.approx(episode.stiffness_scale * LAW[0])
     assert world.arm.law.stiffness[1] == pytest.approx(LAW[0])
+
+
+def test_every_cell_has_a_model_with_its_own_walls_and_grasp():
+    world = World(3)
+    chosen = [Task(seed, clearance_m=clearance) for seed, clearance in enumerate((0.33e-3, 1e-3, 4e-3))]
+    world.reset(np.arange(3), chosen)
+    for cell, task in enumerate(chosen):
+        model, built = world.model(cell), scene.build("tr", task.clearance_m)
+        assert model.geom_pos[built.wall_geoms] == pytest.approx(built.model.geom_pos[built.wall_geoms], abs=1e-15)
+        assert model.body("peg").pos[:2] == pytest.approx(draw(task).grasp_offset)
+        data = world.data(cell)
+        mujoco.mj_kinematics(model, data)
+        assert data.body("peg").xpos[2] == pytest.approx(world.hole_position[cell, 2] - world.depth[cell])
 
 
 def test_friction_holds_a_pressed_peg_against_a_sideways_force_up_to_its_cone():
