@@ -18,8 +18,8 @@ from service.messages import (
 )
 
 _RUN_EXAMPLE: JsonDict = {
-    "id": "20261122T140312-5f2c",
-    "recipe": "tr-2mm",
+    "id": "run-5f2c81d0a94e",
+    "recipe": "triangle-2mm",
     "seed": 7,
     "state": "SUCCEEDED",
     "code": None,
@@ -41,7 +41,8 @@ class StartBody(BaseModel):
     """Ask for one insertion."""
 
     model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"examples": [{"recipe": "tr-2mm", "seed": 7}, {"recipe": "tr-2mm"}]}
+        extra="forbid",
+        json_schema_extra={"examples": [{"recipe": "triangle-2mm", "seed": 7}, {"recipe": "triangle-2mm"}]},
     )
 
     recipe: str = Field(pattern=NAME_PATTERN, description="One of the recipes that `GET /status` lists.")
@@ -63,7 +64,7 @@ class ResetBody(BaseModel):
     )
 
     operator: str = Field(min_length=1, max_length=64, description="Who looked at the cell.")
-    comment: str = Field("", max_length=500, description="What was found; stands in the server's log.")
+    comment: str = Field("", max_length=500, description="What was found; stands in the cell's journal.")
     acknowledge: FaultCode | None = Field(
         None, description="The code that the operator saw; refused if another is in force by now."
     )
@@ -172,7 +173,5 @@ class Health(BaseModel):
 class Frame(Telemetry):
     """One point of the live plot, about 25 a second.
 
-    `force_peak_n` is the largest |F| of all points since the last frame, so that thinning out hides no peak.
+    `force_peak_n` is the largest |F| of every sample since the last frame, so that thinning out hides no peak.
     """
-
-    force_peak_n: float

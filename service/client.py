@@ -67,12 +67,21 @@ class CellClient:
         cell: the cell's id.
         connect: endpoints of its control process.
         clock: monotonic seconds, for the heartbeat's age.
+        time_of_day: seconds since the Unix epoch, for the time until which a start is valid; machines that send
+            starts must agree on it with the cell's to within a few seconds.
     """
 
-    def __init__(self, cell: str, connect: Sequence[str], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        cell: str,
+        connect: Sequence[str],
+        clock: Callable[[], float] = time.monotonic,
+        time_of_day: Callable[[], float] = time.time,
+    ) -> None:
         self._cell = cell
         self._connect = tuple(connect)
         self._clock = clock
+        self._time_of_day = time_of_day
         self._session: zenoh.Session | None = None
         self._presence: asyncio.Task[None] | None = None
         self._status: Status | None = None
@@ -110,7 +119,7 @@ class CellClient:
     # --- commands
 
     async def start(self, request: StartRequest, timeout_s: float = 10.0) -> RunResult:
-        """Ask for one insertion.
+        """Ask for one insertion, valid for as long as its answer is waited for unless the request says otherwise.
 
         Returns:
             The run that was accepted, or the one that the idempotency key found.
@@ -120,6 +129,8 @@ class CellClient:
             CellSilentError: no answer in time. Whether the run was accepted is then not known: ask again with the
                 same idempotency key.
         """
+        if request.valid_until is None:
+            request = request.model_copy(update={"valid_until": self._time_of_day() + timeout_s})
         return _unwrap(await self._ask(messages.START, request, messages.RUN_ANSWER, timeout_s))
 
     async def stop(self, request: StopRequest, timeout_s: float = 1.0) -> Status:

@@ -79,6 +79,8 @@ class Reason(StrEnum):
     INVALID_REQUEST = "INVALID_REQUEST"
     UNKNOWN_RECIPE = "UNKNOWN_RECIPE"
     UNKNOWN_RUN = "UNKNOWN_RUN"
+    EXPIRED = "EXPIRED"
+    """The request arrived after the time until which its sender wanted it carried out."""
     WRONG_STATE = "WRONG_STATE"
     LATCHED = "LATCHED"
     NOT_LATCHED = "NOT_LATCHED"
@@ -86,8 +88,6 @@ class Reason(StrEnum):
     NO_MEASUREMENT = "NO_MEASUREMENT"
     """No fresh sample to judge the arm by."""
     POLICY_REFUSED = "POLICY_REFUSED"
-    PREPARE_REFUSED = "PREPARE_REFUSED"
-    """The driver cannot lay out what the request asks for: a seed on a real arm, say."""
     STORAGE = "STORAGE"
     """The state directory cannot take a record of the run."""
     INTERNAL = "INTERNAL"
@@ -110,12 +110,15 @@ class StartRequest(Message):
         seed: of the simulated world; None draws one. A real arm refuses a seed.
         idempotency_key: the same key again answers with the same run and starts nothing.
         requested_by: who asks, for the record.
+        valid_until: a start that arrives later than this is refused; None: never too late. So nothing moves for a
+            request that lay in a queue while the control process was frozen, and whose sender has given up.
     """
 
     recipe: str = Field(pattern=NAME_PATTERN)
     seed: int | None = Field(default=None, ge=0, lt=2**63)
     idempotency_key: str | None = Field(default=None, min_length=1, max_length=128)
     requested_by: str = Field(default="", max_length=128)
+    valid_until: float | None = None
 
 
 class StopRequest(Message):
@@ -130,9 +133,11 @@ class ResetRequest(Message):
 
     Attributes:
         acknowledge: the code that the operator saw; another one in force is refused. None acknowledges any.
+        comment: what was found, for the record.
     """
 
     acknowledge: FaultCode | None = None
+    comment: str = Field(default="", max_length=500)
     requested_by: str = Field(default="", max_length=128)
 
 
@@ -220,6 +225,8 @@ class Counters(Message):
     """Duplicates and samples older than one already seen."""
     samples_missed: int = 0
     """Gaps in the sequence: published by the arm, never seen here."""
+    samples_dropped: int = 0
+    """Arrived faster than the loop took them; the largest force among them was judged all the same."""
     telemetry_dropped: int = 0
     loop_overruns: int = 0
 
@@ -245,6 +252,7 @@ class Status(Message):
     mode: Literal["real_time", "lockstep"]
     recipes: tuple[str, ...]
     force_ceiling_n: float
+    """In force: the cell's, or that of the run's recipe, which stays until the next run or a new link."""
     degradations: tuple[str, ...] = ()
     """What this host does not permit (real-time scheduling, say); the cell works without it, less exactly."""
     counters: Counters = Counters()
@@ -276,6 +284,7 @@ class Telemetry(Message):
 
     Attributes:
         t: time of the sample on the arm's clock, s.
+        force_peak_n: largest |F| of any sample since the last point, so that thinning out hides no peak.
         tcp_z_m: height of the peg's bottom, base frame.
         z_lock_m: lowest height that the lock permits; None while it seeks, or outside a run.
         depth_m: below the hole's surface as far as the cell knows it; None outside a run.
@@ -285,6 +294,7 @@ class Telemetry(Message):
     t: float
     force_n: tuple[float, float, float]
     force_magnitude_n: float
+    force_peak_n: float
     tcp_z_m: float
     z_lock_m: float | None = None
     depth_m: float | None = None

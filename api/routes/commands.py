@@ -136,7 +136,7 @@ async def reset(body: ResetBody, runtime: RuntimeDependency) -> StopAnswer:
     """
     if runtime.cell.is_silent:
         raise ProblemError(503, "CELL_SILENT", SILENT_TEXT, state=CellState.UNKNOWN)
-    request = ResetRequest(acknowledge=body.acknowledge, requested_by=body.operator)
+    request = ResetRequest(acknowledge=body.acknowledge, comment=body.comment, requested_by=body.operator)
     status = await runtime.unless_closing(runtime.cell.client.reset(request))
     _log.warning("reset", operator=body.operator, comment=body.comment, acknowledge=body.acknowledge)
     return StopAnswer(

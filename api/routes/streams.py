@@ -68,9 +68,9 @@ async def telemetry(runtime: RuntimeDependency) -> AsyncIterator[ServerSentEvent
 
 
 def _newest(points: asyncio.Queue[Telemetry]) -> Frame | None:
-    """Drain the queue; return its newest point with the largest force of all."""
+    """Drain the queue; return its newest point with the largest force of any sample since the last drain."""
     peak_n, newest = 0.0, None
     while not points.empty():
         newest = points.get_nowait()
-        peak_n = max(peak_n, newest.force_magnitude_n)
-    return None if newest is None else Frame(**dict(newest), force_peak_n=peak_n)
+        peak_n = max(peak_n, newest.force_peak_n)
+    return None if newest is None else Frame(**dict(newest) | {"force_peak_n": peak_n})

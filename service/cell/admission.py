@@ -21,6 +21,7 @@ class Standing:
         sample: the newest.
         sample_age_s: its age; infinite without one.
         force_n: resultant of the newest believed sample.
+        force_ceiling_n: in force.
         resetting: another reset is being written.
     """
 
@@ -31,6 +32,7 @@ class Standing:
     sample: Sample | None
     sample_age_s: float
     force_n: float
+    force_ceiling_n: float
     resetting: bool
 
     def problem(self, reason: Reason, detail: str, field: str | None = None) -> Problem:
@@ -86,7 +88,7 @@ def why_not_reset(standing: Standing, request: ResetRequest, limits: LimitsSecti
         return standing.problem(Reason.WRONG_STATE, text)
     if report.measured(sample, 0.0).moving:
         return standing.problem(Reason.WRONG_STATE, "the arm is moving")
-    if standing.force_n >= limits.force_ceiling_n or sample.saturated:
-        text = f"{standing.force_n:.1f} N are measured, the ceiling is {limits.force_ceiling_n:g} N: relieve the tool"
+    if standing.force_n >= standing.force_ceiling_n or sample.saturated:
+        text = f"{standing.force_n:.1f} N are measured, the ceiling is {standing.force_ceiling_n:g} N: relieve the tool"
         return standing.problem(Reason.FORCE_ABOVE_LIMIT, text)
     return None

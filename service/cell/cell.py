@@ -87,9 +87,7 @@ class Cell:
         self._inference_kind = inference or (InlineInference if driver.mode == "lockstep" else ThreadInference)
         self._policies = PolicyShelf(config.recipes, driver.tick_s, config.limits.max_stiffness)
         self._intake = Intake(config.limits, driver.clock)
-        self._stop_parameters = StopParameters(
-            report.STANDSTILL_M_S, report.STANDSTILL_RAD_S, deadline_s=config.limits.stop_confirm_s
-        )
+        self._stop_parameters = StopParameters(deadline_s=config.limits.stop_confirm_s)
         self._states = StateMachine(CellState.OFFLINE if self.journal.latch is None else CellState.LATCHED)
         self.runs = Runs(self.journal)
         self._run_task: asyncio.Task[None] | None = None
@@ -260,6 +258,8 @@ class Cell:
             return RunResult(run=known, created=False)
         if (problem := why_not_start(self._standing(), request, self.config, self.driver.simulated)) is not None:
             return Refused(problem=problem)
+        if self._has_expired(request):
+            return self._refuse(Reason.EXPIRED, "the start came too late to be carried out: ask again")
         self.hear_client()
         self.enter(CellState.PREFLIGHT)
         active = self.runs.begin(request, self.driver, self)
@@ -268,6 +268,8 @@ class Cell:
             policy = await asyncio.to_thread(self._policies.admit, request.recipe)
         except PolicyRefusedError as error:
             return self._take_back(active, Reason.POLICY_REFUSED, str(error))
+        if self._has_expired(request):
+            return self._take_back(active, Reason.EXPIRED, "loading the policy took too long: ask again")
         if not active.abandoned:
             active.accepted = active.accepted.model_copy(update={"policy_sha256": policy.sha256})
             recorded = self.journal.record(active.accepted)
@@ -314,7 +316,9 @@ class Cell:
         self.journal.latch = None
         self.enter(CellState.READY)
         by = f" by {request.requested_by}" if request.requested_by else ""
-        self.journal.tell(EventKind.RESET, self.state, f"{latch.code} acknowledged{by}", latch.code, latch.run_id)
+        found = f": {request.comment}" if request.comment else ""
+        text = f"{latch.code} acknowledged{by}{found}"
+        self.journal.tell(EventKind.RESET, self.state, text, latch.code, latch.run_id)
         return StatusResult(status=self.status())
 
     def status(self) -> Status:
@@ -337,9 +341,9 @@ class Cell:
             driver=self.driver.name,
             mode=self.driver.mode,
             recipes=tuple(config.recipes),
-            force_ceiling_n=config.limits.force_ceiling_n,
+            force_ceiling_n=self._intake.force_ceiling_n,
             degradations=tuple(self.degradations),
-            counters=self._intake.counters(self.telemetry_dropped, self.overruns),
+            counters=self._intake.counters(self.driver.samples_dropped, self.telemetry_dropped, self.overruns),
         )
 
     async def close(self) -> None:
@@ -426,11 +430,15 @@ class Cell:
             sample=intake.sample,
             sample_age_s=intake.age_s,
             force_n=intake.force_n,
+            force_ceiling_n=intake.force_ceiling_n,
             resetting=self._resetting,
         )
 
     def _refuse(self, reason: Reason, detail: str) -> Refused:
         return Refused(problem=Problem(reason=reason, detail=detail, state=self.state))
+
+    def _has_expired(self, request: StartRequest) -> bool:
+        return request.valid_until is not None and self.journal.time_of_day() > request.valid_until
 
     def _take_back(self, active: ActiveRun, reason: Reason, detail: str) -> RunResult | Refused:
         """Refuse after all, unless a stop came first: then there is a run, and it was stopped."""
@@ -445,6 +453,7 @@ class Cell:
 
     def _send_telemetry(self, sample: Sample) -> None:
         insertion = None if self.runs.active is None else self.runs.active.insertion
-        point = report.telemetry(sample, self.state, insertion, self.runs.active_id)
+        peak_n = self._intake.take_recent_peak()
+        point = report.telemetry(sample, peak_n, self.state, insertion, self.runs.active_id)
         for observer in self.journal.observers:
             observer.on_telemetry(point)

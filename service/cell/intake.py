@@ -28,6 +28,7 @@ class Intake:
     Attributes:
         sample: the newest believed one since `renew`.
         accepted: samples believed so far.
+        force_ceiling_n: in force.
     """
 
     def __init__(self, limits: LimitsSection, clock: Callable[[], float]) -> None:
@@ -35,9 +36,11 @@ class Intake:
         self._clock = clock
         self._monitor = Monitor(plan_monitor(limits, limits.force_ceiling_n))
         self._renewed_at = 0.0
+        self._recent_peak_n = 0.0
         self._ignored = self._missed = 0
         self.sample: Sample | None = None
         self.accepted = 0
+        self.force_ceiling_n = limits.force_ceiling_n
 
     def judge(self, sample: Sample) -> Verdict:
         """Judge a sample on its arrival, and keep it if it can be believed."""
@@ -55,6 +58,7 @@ class Intake:
             self._ignored += 1
         elif verdict.fault not in UNBELIEVED:
             self.accepted += 1
+            self._recent_peak_n = max(self._recent_peak_n, self._monitor.force_n)
             if self.sample is not None:
                 self._missed += max(0, sample.seq - self.sample.seq - 1)
             self.sample = sample
@@ -66,8 +70,8 @@ class Intake:
         Args:
             force_ceiling_n: of a run; None: the cell's.
         """
-        ceiling = self._limits.force_ceiling_n if force_ceiling_n is None else force_ceiling_n
-        self._monitor = Monitor(plan_monitor(self._limits, ceiling))
+        self.force_ceiling_n = self._limits.force_ceiling_n if force_ceiling_n is None else force_ceiling_n
+        self._monitor = Monitor(plan_monitor(self._limits, self.force_ceiling_n))
         self._renewed_at = self._clock()
         self.sample = None
 
@@ -80,6 +84,11 @@ class Intake:
     def clear_peak(self) -> None:
         """Start a new peak, at the start of a run."""
         self._monitor.clear_peak()
+
+    def take_recent_peak(self) -> float:
+        """Return the largest force of any believed sample since this was last asked, N."""
+        peak_n, self._recent_peak_n = self._recent_peak_n, 0.0
+        return peak_n
 
     @property
     def peak_force_n(self) -> float:
@@ -107,12 +116,13 @@ class Intake:
     def in_protective_stop(self) -> bool:
         return self.sample is not None and self.sample.program is Program.PROTECTIVE_STOP
 
-    def counters(self, telemetry_dropped: int, loop_overruns: int) -> Counters:
+    def counters(self, samples_dropped: int, telemetry_dropped: int, loop_overruns: int) -> Counters:
         """What became of the samples so far, with what others counted."""
         return Counters(
             samples=self.accepted,
             samples_ignored=self._ignored,
             samples_missed=self._missed,
+            samples_dropped=samples_dropped,
             telemetry_dropped=telemetry_dropped,
             loop_overruns=loop_overruns,
         )

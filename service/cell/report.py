@@ -6,9 +6,7 @@ from service.cell.insertion import Insertion
 from service.drivers.base import Sample
 from service.messages import CellState, Measured, Telemetry
 from service.safety.dsl import Phase
-
-STANDSTILL_M_S = 2e-3
-STANDSTILL_RAD_S = 0.02
+from service.safety.stop import STANDSTILL_M_S, STANDSTILL_RAD_S
 
 
 def _three(vector: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[float, float, float]:
@@ -40,14 +38,17 @@ def measured(sample: Sample, now: float) -> Measured:
     )
 
 
-def telemetry(sample: Sample, state: CellState, insertion: Insertion | None, run_id: str | None) -> Telemetry:
-    """One point of the live plot."""
+def telemetry(
+    sample: Sample, force_peak_n: float, state: CellState, insertion: Insertion | None, run_id: str | None
+) -> Telemetry:
+    """One point of the live plot; `force_peak_n` of all samples since the last one."""
     record = None if insertion is None else insertion.last
     z_lock = None if record is None else float(record.dsl.z_lock)
     return Telemetry(
         t=sample.time_s,
         force_n=_three(sample.wrench),
         force_magnitude_n=float(np.linalg.norm(sample.wrench[:3])),
+        force_peak_n=force_peak_n,
         tcp_z_m=float(sample.tcp_position[2]),
         z_lock_m=z_lock if z_lock is not None and np.isfinite(z_lock) else None,
         depth_m=None if record is None else record.depth_m,

@@ -3,6 +3,7 @@
 import asyncio
 
 from service.cell.cell import Cell
+from service.cell.states import WITH_RUN
 from service.drivers.base import DriverError
 from service.faults import FaultCode
 from service.messages import CellState
@@ -43,6 +44,6 @@ async def keep_watch(cell: Cell) -> None:
         in_a_row = in_a_row + 1 if late else 0
         cell.overruns += late
         before = now
-        if in_a_row >= OVERRUNS_IN_A_ROW:
+        if in_a_row >= OVERRUNS_IN_A_ROW and cell.state in WITH_RUN:
             cell.halt(FaultCode.OVERRUN, f"the control loop was more than {OVERRUN_S * 1e3:g} ms late {in_a_row} times")
         cell.watch()

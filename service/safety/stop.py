@@ -7,6 +7,9 @@ from math import hypot, isfinite
 import numpy as np
 import numpy.typing as npt
 
+STANDSTILL_M_S = 2e-3
+STANDSTILL_RAD_S = 0.02
+
 
 class StopState(StrEnum):
     WAITING = "WAITING"
@@ -26,8 +29,8 @@ class StopParameters:
         deadline_s: when the stop must be confirmed at the latest, s after the command.
     """
 
-    linear_mps: float = 2e-3
-    angular_radps: float = 0.02
+    linear_mps: float = STANDSTILL_M_S
+    angular_radps: float = STANDSTILL_RAD_S
     settle_s: float = 0.02
     deadline_s: float = 0.5
 

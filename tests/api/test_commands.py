@@ -196,7 +196,7 @@ async def test_a_reset_acknowledges_the_code_that_the_operator_saw(api: Api, cel
     response = await api.http.post("/reset", json=body | {"acknowledge": "FORCE_CEILING"})
     assert response.status_code == 200
     assert response.json()["state"] == "READY"
-    assert cell.resets[-1].requested_by == "M. Sato"
+    assert (cell.resets[-1].requested_by, cell.resets[-1].comment) == ("M. Sato", "chip removed")
     assert not cell.runs
 
 

@@ -95,7 +95,7 @@ async def test_telemetry_is_thinned_out_without_hiding_a_peak(api: Api, cell: Wi
     async with stream(api, "/telemetry") as messages:
         await asyncio.sleep(0.1)
         for index in range(50):
-            cell.trace(t=0.002 * index, force_n=29.0 if index == 20 else 1.0)
+            cell.trace(t=0.002 * index, force_n=1.0, peak_n=29.0 if index == 20 else None)
         cell.trace(t=1.0, force_n=-2.0)
         frames = []
         while not frames or frames[-1]["t"] < 1.0:

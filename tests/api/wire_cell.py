@@ -197,11 +197,12 @@ class WireCell:
         self._publishers["event"].put(event.model_dump_json())
         return event
 
-    def trace(self, t: float, force_n: float) -> None:
+    def trace(self, t: float, force_n: float, peak_n: float | None = None) -> None:
         point = Telemetry(
             t=t,
             force_n=(0.0, 0.0, force_n),
             force_magnitude_n=abs(force_n),
+            force_peak_n=abs(force_n) if peak_n is None else peak_n,
             tcp_z_m=0.1,
             z_lock_m=0.099,
             depth_m=0.003,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from service.cell.inference import InlineInference
+from service.config import ClientLossSection
 from service.drivers.base import Driver
 from service.faults import FaultCode
 from service.messages import CellState, Run
@@ -74,6 +75,7 @@ def faulty_cell(tmp_path: Path) -> FaultyCell:
         real_time: bool = False,
         limits: dict[str, Any] | None = None,
         inference: Any = InlineInference,
+        client_loss: ClientLossSection | None = None,
         **recipe: Any,
     ) -> AsyncIterator[FaultyBench]:
         drivers: list[FaultyDriver] = []
@@ -85,6 +87,8 @@ def faulty_cell(tmp_path: Path) -> FaultyCell:
 
         recipe.setdefault("conditions", "easy")
         config = cell_config(tmp_path / "state", policy or policies.straight(tmp_path), limits, **recipe)
+        if client_loss is not None:
+            config = config.model_copy(update={"client_loss": client_loss})
         async with lockstep_cell(config, wrap=wrap, inference=inference) as bench:
             # Only now: the cell's own watch would go by the host's time, which here is not the arm's
             drivers[0].real_time = real_time

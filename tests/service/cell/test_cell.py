@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.cell.records import TickRecord
-from service.drivers.base import Program
+from service.drivers.base import Program, Sample
 from service.faults import FaultCode
 from service.messages import (
     CellState,
@@ -25,7 +25,7 @@ from service.messages import (
 from service.testing import RECIPE, Bench, SimulatedCellFactory
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyCell
-from tests.service.cell.faulty_driver import speed
+from tests.service.cell.faulty_driver import speed, with_wrench
 
 
 async def test_a_peg_goes_in_and_the_run_says_how_deep_and_how_hard(
@@ -155,6 +155,36 @@ async def test_an_unknown_recipe_is_refused_and_the_known_ones_named(
         assert RECIPE in answer.problem.detail
 
 
+async def test_a_start_that_comes_after_its_sender_gave_up_is_refused_and_moves_nothing(
+    faulty_cell: FaultyCell,
+) -> None:
+    async with faulty_cell() as faulty:
+        bench = faulty.bench
+        now = bench.cell.journal.time_of_day()
+        late = await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY, valid_until=now - 0.001))
+        assert isinstance(late, Refused)
+        assert late.problem.reason is Reason.EXPIRED
+        await bench.let_pass(0.5)
+        assert faulty.driver.said("engage") == []
+        assert (bench.cell.state, bench.cell.runs.active) == (CellState.READY, None)
+        timely = await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY, valid_until=now + 1000.0))
+        assert isinstance(timely, RunResult)
+
+
+async def test_a_start_whose_policy_took_too_long_to_load_is_refused_and_moves_nothing(
+    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with faulty_cell() as faulty:
+        bench = faulty.bench
+        hours = iter([10.0, 10.0])
+        monkeypatch.setattr(bench.cell.journal, "time_of_day", lambda: next(hours, 12.0))
+        late = await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY, valid_until=11.0))
+        assert isinstance(late, Refused)
+        assert late.problem.reason is Reason.EXPIRED
+        assert faulty.driver.said("engage") == []
+        assert bench.cell.state is CellState.READY
+
+
 async def stop_in(bench: Bench, state: CellState) -> StatusResult:
     await bench.state(state)
     return bench.cell.stop(StopRequest(reason="test", requested_by="operator"))
@@ -231,8 +261,13 @@ async def test_a_reset_leads_to_ready_moves_nothing_and_resumes_nothing(faulty_c
         orders = len(faulty.driver.said("target")) + len(faulty.driver.said("engage"))
         wrong = await bench.cell.reset(ResetRequest(acknowledge=FaultCode.STALE))
         assert isinstance(wrong, Refused)
-        answer = await bench.cell.reset(ResetRequest(acknowledge=FaultCode.OPERATOR_STOP))
+        by, found = "M. Sato", "chip in the hole, removed"
+        answer = await bench.cell.reset(
+            ResetRequest(acknowledge=FaultCode.OPERATOR_STOP, requested_by=by, comment=found)
+        )
         assert isinstance(answer, StatusResult)
+        assert bench.events[-1].kind == "RESET"
+        assert bench.events[-1].text == f"OPERATOR_STOP acknowledged by {by}: {found}"
         assert answer.status.state is CellState.READY
         await bench.let_pass(0.5)
         assert np.abs(faulty.driver.truth.tcp_position - before).max() < 1e-4
@@ -280,10 +315,44 @@ async def test_status_tells_what_is_measured(simulated_cell: SimulatedCellFactor
         assert len(bench.telemetry) > 50
 
 
-async def test_a_lower_ceiling_of_the_recipe_holds_for_its_runs(
+async def test_status_counts_what_the_driver_dropped(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        assert faulty.bench.cell.status().counters.samples_dropped == 0
+        faulty.driver.samples_dropped = 7
+        assert faulty.bench.cell.status().counters.samples_dropped == 7
+
+
+async def test_telemetry_shows_a_peak_between_two_of_its_points_once(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        await faulty.running()
+        bench = faulty.bench
+        shown = len(bench.telemetry)
+        await bench.until(lambda: len(bench.telemetry) > shown)
+        await bench.let_pass(0.006)
+        spoilt: list[int] = []
+
+        def kick(sample: Sample) -> list[Sample]:
+            if spoilt:
+                return [sample]
+            spoilt.append(sample.seq)
+            return [with_wrench(sample, fx=0.0, fy=0.0, fz=29.0)]
+
+        faulty.driver.spoil = kick
+        shown = len(bench.telemetry)
+        await bench.until(lambda: len(bench.telemetry) >= shown + 3)
+        assert [point.force_peak_n == 29.0 for point in bench.telemetry[shown : shown + 3]] == [True, False, False]
+        assert all(point.force_magnitude_n < 29.0 for point in bench.telemetry[shown:])
+        assert all(point.force_peak_n >= point.force_magnitude_n for point in bench.telemetry)
+
+
+async def test_a_lower_ceiling_of_the_recipe_holds_for_its_runs_is_shown_and_bars_a_reset(
     simulated_cell: SimulatedCellFactory, tmp_path: Path
 ) -> None:
     async with simulated_cell(policies.still(tmp_path), force_ceiling_n=6.0) as bench:
-        run = await bench.insert(3)
+        assert bench.cell.status().force_ceiling_n == 30.0
+        started = await bench.start(3)
+        await bench.state(CellState.APPROACH)
+        assert bench.cell.status().force_ceiling_n == 6.0
+        run = await bench.ended(started)
         assert (run.state, run.code) == (RunState.LATCHED, FaultCode.FORCE_CEILING)
         assert run.peak_force_n >= 6.0

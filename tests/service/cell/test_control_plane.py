@@ -75,6 +75,16 @@ async def test_a_refusal_carries_its_reason_and_the_field(tmp_path: Path) -> Non
         assert refused.value.problem.reason is Reason.UNKNOWN_RUN
 
 
+async def test_a_client_says_until_when_its_start_is_valid_and_the_cell_goes_by_it(tmp_path: Path) -> None:
+    async with served(tmp_path, policies.still(tmp_path)) as (bench, client):
+        client._time_of_day = lambda: bench.cell.journal.time_of_day() - 60.0
+        with pytest.raises(CellRefusedError) as refused:
+            await client.start(StartRequest(recipe=RECIPE, seed=EASY), timeout_s=30.0)
+        assert refused.value.problem.reason is Reason.EXPIRED
+        assert bench.cell.state is CellState.READY
+        assert (await client.start(StartRequest(recipe=RECIPE, seed=EASY), timeout_s=90.0)).created
+
+
 async def test_a_stop_and_its_reset_over_the_wire(tmp_path: Path) -> None:
     async with served(tmp_path, policies.still(tmp_path)) as (bench, client):
         await client.start(StartRequest(recipe=RECIPE, seed=EASY))

@@ -1,5 +1,6 @@
 """One test per fault that a cell must survive, by what the arm does and what the record says."""
 
+import asyncio
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from service.cell import watch
+from service.config import ClientLossSection
 from service.drivers.base import Program, Sample, StopReason
 from service.faults import FaultCode
 from service.messages import CellState, Reason, Refused, ResetRequest, RunState, StatusResult, StopRequest
@@ -276,6 +279,67 @@ async def test_43_a_reset_while_the_force_is_above_the_limit_is_refused(faulty_c
         assert faulty.bench.cell.runs.find(run.id).code is FaultCode.FORCE_CEILING
 
 
+def with_client(faulty: FaultyBench) -> Spoil:
+    """Spoils nothing; a client is heard with every sample."""
+
+    def heard(sample: Sample) -> Sequence[Sample]:
+        faulty.bench.cell.hear_client()
+        return [sample]
+
+    return heard
+
+
+async def test_a_client_that_falls_silent_stops_the_run_where_that_is_asked_for_client_lost(
+    faulty_cell: FaultyCell,
+) -> None:
+    loss = ClientLossSection(policy="stop", limit_s=0.3)
+    async with faulty_cell(real_time=True, client_loss=loss) as faulty:
+        faulty.driver.spoil = with_client(faulty)
+        run = await faulty.running()
+        silent_from = await spoil_and_time(faulty, lambda sample: [sample])
+        await faulty.bench.state(CellState.STOPPING)
+        assert faulty.driver.clock() - silent_from == pytest.approx(loss.limit_s, abs=2 * TICK_S)
+        ended = await faulty.assert_latched(run, FaultCode.CLIENT_LOST)
+        assert ended.state is RunState.STOPPED
+
+
+async def test_a_client_that_is_heard_lets_the_run_go_on_and_an_idle_cell_needs_none(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell(real_time=True, client_loss=ClientLossSection(policy="stop", limit_s=0.2)) as faulty:
+        await faulty.bench.let_pass(0.5)
+        assert faulty.bench.cell.state is CellState.READY
+        faulty.driver.spoil = with_client(faulty)
+        assert (await faulty.bench.insert(EASY)).state is RunState.SUCCEEDED
+
+
+async def test_by_default_a_run_goes_on_without_its_client(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell(real_time=True, client_loss=ClientLossSection(limit_s=0.2)) as faulty:
+        assert (await faulty.bench.insert(EASY)).state is RunState.SUCCEEDED
+
+
+async def test_a_loop_that_is_late_again_and_again_latches_a_run_overrun(
+    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with faulty_cell(real_time=True) as faulty:
+        run = await faulty.running()
+        monkeypatch.setattr(watch, "OVERRUN_S", -1.0)  # every turn counts as late
+        watching = asyncio.create_task(watch.keep_watch(faulty.bench.cell))
+        ended = await faulty.assert_latched(run, FaultCode.OVERRUN)
+        assert ended.state is RunState.LATCHED
+        watching.cancel()
+
+
+async def test_a_loop_that_is_late_while_nothing_runs_is_counted_only(
+    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with faulty_cell(real_time=True) as faulty:
+        monkeypatch.setattr(watch, "OVERRUN_S", -1.0)
+        watching = asyncio.create_task(watch.keep_watch(faulty.bench.cell))
+        await faulty.bench.until(lambda: faulty.bench.cell.overruns > 2 * watch.OVERRUNS_IN_A_ROW)
+        assert faulty.bench.cell.state is CellState.READY
+        assert faulty.bench.cell.journal.latch is None
+        watching.cancel()
+
+
 async def test_45_the_arm_accepts_a_stop_and_moves_on_stop_unconfirmed(faulty_cell: FaultyCell) -> None:
     async with faulty_cell() as faulty:
         faulty.driver.deaf_to_stop = True
@@ -368,3 +432,44 @@ async def test_an_idle_cell_that_hears_nothing_is_offline_and_comes_back_by_itse
         assert faulty.bench.cell.journal.latch is None
         faulty.driver.spoil = lambda sample: [sample]
         await faulty.bench.state(CellState.READY)
+
+
+class LoadedCell(SimulatedCell):
+    """A world in which something has leaned on the tool since long before the run: the sensor carries it."""
+
+    def __init__(self, load: Sequence[float]) -> None:
+        super().__init__("tr")
+        self._load = np.array(load)
+
+    def reset(self, task: Task) -> np.ndarray:
+        answer = super().reset(task)
+        sensor = self._world.sensor
+        sensor._bias[0] += self._load
+        sensor._average[0] += self._load
+        return answer
+
+
+@pytest.mark.parametrize("load", [(20.0, 0, 0, 0, 0, 0), (0, 0, -22.0, 0, 0, 0), (0, 0, 0, 0, 0, 2.5)])
+async def test_a_load_that_was_there_before_the_run_is_not_zeroed_away_contact_at_start(
+    tmp_path: Path, load: Sequence[float]
+) -> None:
+    drivers: list[FaultyDriver] = []
+
+    def wrap(driver: Driver) -> FaultyDriver:
+        drivers.append(FaultyDriver(driver))
+        return drivers[-1]
+
+    config = cell_config(tmp_path / "state", policies.straight(tmp_path), conditions="easy")
+    async with lockstep_cell(config, wrap=wrap, world=LoadedCell(load)) as bench:
+        run = await bench.insert(EASY)
+        assert (run.state, run.code) == (RunState.FAILED, FaultCode.CONTACT_AT_START)
+        assert "before it is zeroed" in run.text
+        assert drivers[0].said("zero_ft") == drivers[0].said("engage") == []
+
+
+async def test_a_sensor_is_zeroed_only_while_the_arm_stands_and_rests(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        faulty.driver.spoil = lambda sample: [replace(sample, program=Program.STOPPING)]
+        run = await faulty.bench.insert(EASY)
+        assert (run.state, run.code) == (RunState.LATCHED, FaultCode.STOP_UNCONFIRMED)
+        assert faulty.driver.said("zero_ft") == faulty.driver.said("engage") == []
