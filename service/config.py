@@ -30,6 +30,7 @@ def _check_box(box: tuple[tuple[float, float, float], tuple[float, float, float]
 
 
 Force = Annotated[float, Field(gt=0.0, le=FORCE_HARD_MAXIMUM_N, allow_inf_nan=False)]
+Torque = Annotated[float, Field(gt=0.0, le=TORQUE_HARD_MAXIMUM_NM, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Position = tuple[Finite, Finite, Finite]
@@ -82,7 +83,7 @@ class LimitsSection(Section):
     """
 
     force_ceiling_n: Force
-    torque_ceiling_nm: Annotated[float, Field(gt=0.0, le=TORQUE_HARD_MAXIMUM_NM, allow_inf_nan=False)] = 5.0
+    torque_ceiling_nm: Torque = 5.0
     sample_age_s: Annotated[float, Field(ge=0.006, le=0.5, allow_inf_nan=False)] = 0.05
     stuck_samples: Annotated[int, Field(ge=2, le=500)] = 10
     target_age_s: Annotated[float, Field(ge=0.02, le=1.0, allow_inf_nan=False)] = 0.3
@@ -112,17 +113,21 @@ class PreflightSection(Section):
         position_m: farthest from the start position.
         yaw_rad: farthest from the start yaw.
         tilt_rad: largest tilt.
+        unzeroed_force_n: mean resultant force before zeroing from which something loads the tool.
+        unzeroed_torque_nm: the same for torque.
     """
 
     window_samples: Annotated[int, Field(ge=10, le=1000)] = 100
     contact_force_n: Force = 3.0
     bias_force_n: Force = 1.5
-    bias_torque_nm: Positive = 0.3
-    noise_force_n: Positive = 1.5
-    noise_torque_nm: Positive = 0.4
+    bias_torque_nm: Torque = 0.3
+    noise_force_n: Force = 1.5
+    noise_torque_nm: Torque = 0.4
     position_m: Positive = 5e-3
     yaw_rad: Positive = 0.05
     tilt_rad: Positive = 0.02
+    unzeroed_force_n: Force = 12.0
+    unzeroed_torque_nm: Positive = 2.5
 
 
 class RecipeSection(Section):

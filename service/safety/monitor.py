@@ -16,26 +16,26 @@ from service.safety.verdict import IGNORED, PASSED, Verdict
 
 @dataclass(frozen=True, slots=True)
 class MonitorParameters:
-    """Limits of a sample.
+    """Limits of a sample; the numbers are the configuration's.
 
     Attributes:
         force_ceiling_n: resultant force that trips, N.
         torque_ceiling_nm: resultant torque at the TCP that trips, N·m.
-        force_range_n: a force component at or beyond this is at the end of the sensor's range and trips as well;
-            infinite where the source itself says when it saturates.
-        torque_range_nm: likewise for torque.
         stuck_samples: this many bit-identical wrenches in a row mean that the sensor is stuck.
         max_age_s: age of the newest sample from which the cell is blind, s.
         max_gap_s: largest step forward between the time stamps of two samples that follow each other, s.
+        force_range_n: a force component at or beyond this is at the end of the sensor's range and trips as well;
+            infinite where the source itself says when it saturates.
+        torque_range_nm: likewise for torque.
     """
 
     force_ceiling_n: float
     torque_ceiling_nm: float
+    stuck_samples: int
+    max_age_s: float
+    max_gap_s: float
     force_range_n: float = inf
     torque_range_nm: float = inf
-    stuck_samples: int = 10
-    max_age_s: float = 0.02
-    max_gap_s: float = 0.02
 
     def __post_init__(self) -> None:
         """Refuse limits that guard nothing.

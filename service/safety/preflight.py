@@ -14,7 +14,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class PreflightParameters:
-    """What a cell must look like before it may start.
+    """What a cell must look like before it may start; the numbers are the configuration's.
 
     Attributes:
         window_samples: fewest samples to judge from.
@@ -26,17 +26,22 @@ class PreflightParameters:
         position_m: largest distance from the start position, m.
         yaw_rad: largest angle from the start yaw, rad.
         tilt_rad: largest tilt, rad.
+        unzeroed_force_n: mean resultant force before zeroing from which something loads the tool, N; above what the
+            sensor's bias and the payload's error can make of it.
+        unzeroed_torque_nm: likewise for torque, at the TCP, N·m.
     """
 
-    window_samples: int = 50
-    contact_force_n: float = 3.0
-    bias_force_n: float = 1.5
-    bias_torque_nm: float = 0.15
-    noise_force_n: float = 1.5
-    noise_torque_nm: float = 0.15
-    position_m: float = 5e-3
-    yaw_rad: float = 0.05
-    tilt_rad: float = 0.02
+    window_samples: int
+    contact_force_n: float
+    bias_force_n: float
+    bias_torque_nm: float
+    noise_force_n: float
+    noise_torque_nm: float
+    position_m: float
+    yaw_rad: float
+    tilt_rad: float
+    unzeroed_force_n: float = 12.0
+    unzeroed_torque_nm: float = 2.5
 
     def __post_init__(self) -> None:
         """Refuse limits that check nothing.
@@ -52,6 +57,32 @@ class PreflightParameters:
             raise ValueError("preflight.window_samples must be 2 or more: one sample has no noise")
         if self.bias_force_n >= self.contact_force_n:
             raise ValueError("preflight.bias_force_n must be below preflight.contact_force_n")
+
+
+def check_unzeroed(parameters: PreflightParameters, window: FloatArray) -> Verdict:
+    """Judge the load before it is taken as zero: a tool that is pressed already would be zeroed into free air.
+
+    Args:
+        parameters: limits.
+        window: (T, 6) N and N·m at the TCP, base frame, not zeroed for this run.
+
+    Returns:
+        CONTACT_AT_START, or passed.
+    """
+    mean = window.mean(0)
+    for unit, value, limit in (
+        ("N", float(np.linalg.norm(mean[:3])), parameters.unzeroed_force_n),
+        ("N·m", float(np.linalg.norm(mean[3:])), parameters.unzeroed_torque_nm),
+    ):
+        if not value < limit:
+            return Verdict(
+                FaultCode.CONTACT_AT_START,
+                value,
+                limit,
+                f"the sensor reads {value:.2f} {unit} before it is zeroed, a free tool less than {limit:g} {unit}: "
+                "free the tool; if nothing touches it, zero the sensor at the robot or check the payload",
+            )
+    return PASSED
 
 
 def check_wrench(parameters: PreflightParameters, window: FloatArray) -> Verdict:

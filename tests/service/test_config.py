@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from service.config import CellConfig, ConfigError, load
-from service.hard_limits import FORCE_HARD_MAXIMUM_N
+from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 
 SHIPPED = Path(__file__).parents[2] / "config" / "cell.toml"
 
@@ -45,6 +45,23 @@ def test_a_recipe_may_lower_the_ceiling_and_not_raise_it(tmp_path: Path) -> None
     assert lower.recipes["triangle-2mm"].force_ceiling_n == 12.0
     with pytest.raises(ConfigError, match=r"recipes\.triangle-2mm\.force_ceiling_n is 31"):
         load(written(tmp_path, 'part = "tr"', 'part = "tr"\nforce_ceiling_n = 31.0'))
+
+
+@pytest.mark.parametrize(
+    ("field", "maximum"),
+    [
+        ("contact_force_n", FORCE_HARD_MAXIMUM_N),
+        ("noise_force_n", FORCE_HARD_MAXIMUM_N),
+        ("bias_torque_nm", TORQUE_HARD_MAXIMUM_NM),
+        ("noise_torque_nm", TORQUE_HARD_MAXIMUM_NM),
+    ],
+)
+def test_no_limit_of_the_pre_flight_may_lie_beyond_what_the_cell_may_measure(
+    tmp_path: Path, field: str, maximum: float
+) -> None:
+    load(written(tmp_path, "[sim]", f"[preflight]\n{field} = {maximum}\n[sim]"))
+    with pytest.raises(ConfigError, match=rf"preflight\.{field}"):
+        load(written(tmp_path, "[sim]", f"[preflight]\n{field} = {maximum + 0.01}\n[sim]"))
 
 
 def test_an_unknown_field_is_refused_by_its_name(tmp_path: Path) -> None:

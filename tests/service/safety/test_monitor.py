@@ -1,3 +1,4 @@
+from dataclasses import replace
 from math import hypot
 from typing import Any
 
@@ -99,7 +100,7 @@ def test_a_saturated_sensor_counts_as_above_the_ceiling_whatever_it_reads(source
 
 @pytest.mark.parametrize("channel", range(6))
 def test_a_component_at_the_end_of_the_range_counts_as_above_the_ceiling(channel: int) -> None:
-    source = Source(MonitorParameters(30.0, 3.0, force_range_n=25.0, torque_range_nm=2.0))
+    source = Source(replace(LIMITS, force_range_n=25.0, torque_range_nm=2.0))
     limit = 25.0 if channel < 3 else 2.0
     wrench = np.zeros(6)
     wrench[channel] = -limit
@@ -222,14 +223,14 @@ def test_nothing_above_a_ceiling_passes(wrench: list[float]) -> None:
 )
 def test_limits_that_guard_nothing_are_refused_by_name(field: str, value: float) -> None:
     with pytest.raises(ValueError, match=field):
-        MonitorParameters(**{"force_ceiling_n": 30.0, "torque_ceiling_nm": 3.0, field: value})  # pyright: ignore
+        replace(LIMITS, **{field: value})
 
 
 def test_every_limit_is_reached_at_its_value(source: Source) -> None:
     assert source.send([0, 0, 0, 3.0, 0, 0]).fault is FaultCode.FORCE_CEILING
     last = source.now
     assert source.monitor.overdue(last + 0.02 - 1e-9).fault is None
-    source = Source(MonitorParameters(30.0, 3.0, max_age_s=0.25, max_gap_s=0.25))
+    source = Source(replace(LIMITS, max_age_s=0.25, max_gap_s=0.25))
     source.send(time_s=1.0)
     assert source.send(time_s=1.25).fault is None
     assert source.send(time_s=1.75).fault is FaultCode.STALE
@@ -248,12 +249,7 @@ def test_what_tripped_is_told_in_milliseconds(source: Source) -> None:
 
 
 def test_the_hard_maxima_themselves_and_two_samples_are_allowed() -> None:
-    source = Source(MonitorParameters(50.0, 10.0, stuck_samples=2))
+    source = Source(replace(LIMITS, force_ceiling_n=50.0, torque_ceiling_nm=10.0, stuck_samples=2))
     assert source.monitor.force_n == 0.0
     assert source.send([1, 0, 0, 0, 0, 0], seq=0).fault is None
     assert source.send([1, 0, 0, 0, 0, 0]).fault is FaultCode.SENSOR_STUCK
-
-
-def test_the_defaults_notice_loss_within_ten_ticks() -> None:
-    defaults = MonitorParameters(30.0, 3.0)
-    assert (defaults.stuck_samples, defaults.max_age_s, defaults.max_gap_s) == (10, 0.02, 0.02)
