@@ -15,7 +15,6 @@ RUNTIME := $(VENV)/.installed-runtime
 TRAINING := $(VENV)/.installed-training
 DEV := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt
-PACKAGES := service sim_backend api training benchmarks
 
 .PHONY: help
 help: ## list the targets

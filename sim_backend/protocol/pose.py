@@ -8,8 +8,6 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-_IDENTITY = np.eye(3)
-
 
 def rotation_from_rotvec(rotvec: npt.ArrayLike) -> Array:
     """Return the rotation matrix (..., 3, 3) of rotation vectors (..., 3), rad."""
@@ -62,30 +60,6 @@ def rotvec_from_rotation(rotation: npt.ArrayLike) -> Array:
     return vector * np.where(moved, angle / np.where(moved, sine, 1.0), 0.0)[..., None]
 
 
-def rotvec_between(rotation_from: npt.ArrayLike, rotation_to: npt.ArrayLike) -> Array:
-    """Return the rotation vector (..., 3), base frame, rad, that turns `rotation_from` into `rotation_to`.
-
-    Both are (..., 3, 3); `rotation_from_rotvec(result) @ rotation_from` equals `rotation_to`. Exact, not linearised.
-    """
-    start = np.asarray(rotation_from, np.float64)
-    return rotvec_from_rotation(np.asarray(rotation_to, np.float64) @ start.swapaxes(-1, -2))
-
-
-def integrate(rotation: npt.ArrayLike, rotation_step: npt.ArrayLike) -> Array:
-    """Turn orientations by a small step in the base frame.
-
-    Args:
-        rotation: (..., 3, 3) orientation.
-        rotation_step: (..., 3) angular velocity times the time step, base frame, rad.
-
-    Returns:
-        (..., 3, 3) `exp(rotation_step) @ rotation`, orthonormal to rounding however often it is applied.
-    """
-    turned = rotation_from_rotvec(rotation_step) @ np.asarray(rotation, np.float64)
-    # One Newton step towards the nearest rotation squares the error of orthonormality.
-    return turned @ (1.5 * _IDENTITY - 0.5 * (turned.swapaxes(-1, -2) @ turned))
-
-
 def tool_down(yaw: npt.ArrayLike) -> Array:
     """Return `Rz(yaw) @ Rx(π)`, (..., 3, 3): the tool's z axis down and its x axis at `yaw`, (...), rad."""
     angle = np.asarray(yaw, np.float64)
@@ -103,9 +77,3 @@ def yaw_of(rotation: npt.ArrayLike) -> Array:
     """Return the angle (...), rad, -π … π, of the tool's x axis about the base z axis; `rotation` is (..., 3, 3)."""
     m = np.asarray(rotation, np.float64)
     return np.arctan2(m[..., 1, 0], m[..., 0, 0])
-
-
-def tilt_of(rotation: npt.ArrayLike) -> Array:
-    """Return the angle (...), rad, 0 … π, between the tool's z axis and straight down; `rotation` is (..., 3, 3)."""
-    m = np.asarray(rotation, np.float64)
-    return np.arctan2(np.hypot(m[..., 0, 2], m[..., 1, 2]), -m[..., 2, 2])

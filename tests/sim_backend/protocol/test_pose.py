@@ -4,11 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim_backend.protocol.pose import (
-    integrate,
     rotation_from_rotvec,
-    rotvec_between,
     rotvec_from_rotation,
-    tilt_of,
     tool_down,
     yaw_of,
 )
@@ -55,49 +52,6 @@ def test_tool_down_is_the_turn_of_the_architecture_and_yaw_reads_it_back(yaw):
     rotation = tool_down(yaw)
     assert rotation == pytest.approx(z_turn(yaw) @ x_turn(np.pi), abs=1e-15)
     assert yaw_of(rotation) == pytest.approx(yaw, abs=1e-14)
-    assert tilt_of(rotation) == 0.0
-
-
-@given(AXES, st.floats(0.0, np.pi), AXES, ANGLES)
-def test_between_turns_the_first_into_the_second_in_the_base_frame(axis, angle, step_axis, step):
-    start = rotation_from_rotvec(np.asarray(axis) / np.linalg.norm(axis) * angle)
-    end = rotation_from_rotvec(np.asarray(step_axis) / np.linalg.norm(step_axis) * step) @ start
-    assert rotation_from_rotvec(rotvec_between(start, end)) @ start == pytest.approx(end, abs=1e-14)
-
-
-def test_between_keeps_the_relative_accuracy_of_micro_rotations_around_tool_down():
-    step = np.array([3e-9, -2e-9, 5e-9])
-    start = tool_down(0.4)
-    assert rotvec_between(start, rotation_from_rotvec(step) @ start) == pytest.approx(step, abs=1e-15)
-
-
-def test_tilt_is_the_angle_to_straight_down_whatever_the_yaw():
-    tilted = rotation_from_rotvec([0.05, 0, 0]) @ tool_down([0.0, 1.0, -2.0])
-    assert tilt_of(tilted) == pytest.approx(np.full(3, 0.05), abs=1e-14)
-    assert tilt_of(np.eye(3)) == pytest.approx(np.pi)
-
-
-def test_integrate_turns_in_the_base_frame_and_sums_up():
-    rotation = tool_down(0.2)
-    for _ in range(100):
-        rotation = integrate(rotation, [0, 0, 0.01])
-    assert yaw_of(rotation) == pytest.approx(1.2, abs=1e-13)
-
-
-def test_integrate_stays_orthonormal_over_many_steps():
-    steps = np.random.default_rng(1).normal(scale=0.01, size=(20_000, 3))
-    rotation = np.broadcast_to(tool_down(0.0), (8, 3, 3))
-    for step in steps:
-        rotation = integrate(rotation, step)
-    assert rotation.swapaxes(-1, -2) @ rotation == pytest.approx(np.broadcast_to(np.eye(3), (8, 3, 3)), abs=2e-15)
-    assert np.linalg.det(rotation) == pytest.approx(np.ones(8), abs=5e-15)
-
-
-def test_integrate_pulls_a_distorted_matrix_back_to_a_rotation():
-    rotation = tool_down(0.3) + 1e-4 * np.ones((3, 3))
-    for _ in range(3):
-        rotation = integrate(rotation, np.zeros(3))
-    assert rotation.T @ rotation == pytest.approx(np.eye(3), abs=1e-14)
 
 
 @pytest.mark.parametrize("batch", [(), (4,), (2, 3), (0,)])
@@ -105,6 +59,5 @@ def test_every_function_keeps_the_batch_shape(batch):
     rotation = tool_down(np.zeros(batch))
     assert rotation.shape == (*batch, 3, 3)
     assert rotvec_from_rotation(rotation).shape == (*batch, 3)
-    assert rotvec_between(tool_down(0.0), rotation).shape == (*batch, 3)
-    assert integrate(rotation, np.zeros((*batch, 3))).shape == (*batch, 3, 3)
-    assert yaw_of(rotation).shape == tilt_of(rotation).shape == batch
+    assert rotation_from_rotvec(np.zeros((*batch, 3))).shape == (*batch, 3, 3)
+    assert yaw_of(rotation).shape == batch
