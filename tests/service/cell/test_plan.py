@@ -1,0 +1,86 @@
+"""What a policy was trained under is what the shipped cell runs it under."""
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.cell.plan import Plan, plan_insertion
+from service.config import load
+from service.policy.contract import PolicyContract
+from service.policy.model import Policy
+from service.safety.bounds import BoundsParameters
+from sim_backend.arm import Limits
+from sim_backend.protocol.wire import TICK_S
+from sim_backend.scene import NOMINAL_HOLE_M
+from sim_backend.world import START_POSITION_M, START_YAW_RAD
+from training.design import vftm_dsl
+from training.insertion import Insertions, command_bounds
+
+SHIPPED = load(Path(__file__).parents[3] / "config" / "cell.toml")
+NAME, RECIPE = next(iter(SHIPPED.recipes.items()))
+
+
+@pytest.fixture(scope="module", params=["shipped", "of the next training"])
+def contract(request: pytest.FixtureRequest) -> PolicyContract:
+    return Policy.load(RECIPE.policy).contract if request.param == "shipped" else vftm_dsl()
+
+
+@pytest.fixture(scope="module")
+def plan(contract: PolicyContract) -> Plan:
+    return plan_insertion(SHIPPED, RECIPE, contract)
+
+
+@pytest.fixture(scope="module")
+def trained(contract: PolicyContract) -> Insertions:
+    return Insertions(contract, 1)
+
+
+def test_the_compliance_law_is_the_one_of_training(plan: Plan, trained: Insertions) -> None:
+    stiffness, damping, inertia = trained._law
+    assert (plan.law.stiffness == stiffness).all()
+    assert (plan.law.damping == damping).all()
+    assert (plan.law.inertia == inertia).all()
+    assert tuple(plan.law.max_speed) == trained._limits.max_speed == Limits().max_speed
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(BoundsParameters) if field.name != "tilt_rad"])
+def test_a_command_is_bounded_as_in_training(plan: Plan, trained: Insertions, name: str) -> None:
+    # The tilt bounds no command: the cell stops for it, and a trained policy does not reach it
+    assert getattr(plan.bounds, name) == pytest.approx(getattr(trained._bounds, name), abs=0.0)
+
+
+def test_the_bounds_of_training_are_those_of_the_arms_own_program(contract: PolicyContract) -> None:
+    bounds = command_bounds(contract.ticks_per_step, Limits())
+    assert (bounds.step_m, bounds.step_rad) == Limits().max_step
+    assert (bounds.speed_mps, bounds.speed_radps) == Limits().max_speed
+
+
+def test_the_arms_own_program_has_the_limits_of_training(plan: Plan, trained: Insertions) -> None:
+    limits = trained._limits
+    assert tuple(plan.limits.max_step) == limits.max_step
+    assert (plan.limits.workspace == np.array(limits.workspace)).all()
+    assert plan.limits.force_ceiling_n == limits.force_ceiling_n
+    # Shorter in the cell: training has no clock that could be late. Longer than any step, or a held target would stop.
+    assert plan.ticks_per_step * plan.tick_s + plan.policy_deadline_s < plan.limits.target_age_s <= limits.target_age_s
+
+
+def test_lock_wrench_window_period_and_action_are_those_of_training(plan: Plan, trained: Insertions) -> None:
+    assert plan.dsl == trained._lock
+    assert plan.lock_samples == trained.contract.wrench_window_ticks
+    assert plan.ticks_per_step == len(trained._window)
+    assert plan.tick_s == TICK_S
+    assert plan.max_steps == trained.contract.max_steps
+    assert plan.builder.size == trained.observation_size
+    assert plan.action.size == trained.action_size
+
+
+def test_start_and_nominal_hole_of_the_shipped_recipe_are_those_of_training(plan: Plan) -> None:
+    assert tuple(plan.start_position) == START_POSITION_M
+    assert plan.start_yaw == START_YAW_RAD
+    assert tuple(plan.nominal_hole) == NOMINAL_HOLE_M
+
+
+def test_the_cells_stiffest_law_admits_the_one_of_training(plan: Plan) -> None:
+    assert (plan.law.stiffness <= np.array(SHIPPED.limits.max_stiffness)).all()
