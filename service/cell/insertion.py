@@ -20,6 +20,7 @@ from service.messages import CellState
 from service.policy.observation import Measurement
 from service.safety import bounds, dsl, preflight
 from service.safety.pose import rotvec_from_yaw, yaw_and_tilt
+from service.safety.stop import STANDSTILL_M_S
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -27,6 +28,8 @@ ZEROING_TRIES = 12
 """Zeroing takes one noisy reading, so an unlucky one is repeated; contact is not."""
 SETTLE_TICKS = 25
 """Samples after zeroing that may still be from before: command, sensor and transport delay."""
+STANDSTILL_TICKS = 1000
+"""Samples in which the arm must be found standing, its program idle, before the sensor is zeroed."""
 ENGAGE_TICKS = 250
 """Samples in which the arm must have engaged."""
 APPROACH_TICKS = 5
@@ -141,7 +144,7 @@ class Insertion:
             self._stage_seq = sample.seq
         match self._stage:
             case Stage.ZEROING:
-                yield from self._zero(sample)
+                yield from self._await_free(sample)
             case Stage.CHECKING:
                 yield from self._check(sample)
             case Stage.ENGAGING:
@@ -166,6 +169,21 @@ class Insertion:
             reason = sample.stop_reason
             return Halt(ARM_STOPS[reason], f"the arm's controller stopped by itself: {reason.name}")
         return None
+
+    def _await_free(self, sample: Sample) -> Iterator[Order]:
+        """Zero only a tool that stands and carries nothing: contact would be zeroed away."""
+        still = float(np.linalg.norm(sample.tcp_velocity[:3])) < STANDSTILL_M_S
+        if sample.program is not Program.IDLE or not still:
+            self._window.clear()
+            if sample.seq - self._stage_seq > STANDSTILL_TICKS:
+                text = f"the arm does not stand, or its program does not rest ({sample.program.name}): who drives it?"
+                yield from self._fail(FaultCode.AUTHORITY, text)
+        elif len(self._window) >= self._plan.preflight.window_samples:
+            verdict = preflight.check_unzeroed(self._plan.preflight, np.array(self._window))
+            if verdict.fault is None:
+                yield from self._zero(sample)
+            else:
+                yield from self._fail(verdict.fault, verdict.text)
 
     def _zero(self, sample: Sample) -> Iterator[Order]:
         self._zeroings += 1

@@ -46,13 +46,18 @@ async def run(config: CellConfig, driver: Driver) -> None:
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
-    session = await asyncio.to_thread(open_session, listen=[config.cell.endpoint])
+    cell = Cell(config, driver, time_of_day=time.time)
+    if driver.mode == "real_time":
+        # before Zenoh starts its threads: one of ordinary priority that the loop waits for would hold the loop up
+        cell.degradations = request_realtime()
+    for line in cell.degradations:
+        _log.warning("degraded", what=line)
     try:
-        cell = Cell(config, driver, time_of_day=time.time)
-        if driver.mode == "real_time":
-            cell.degradations = request_realtime()
-        for line in cell.degradations:
-            _log.warning("degraded", what=line)
+        session = await asyncio.to_thread(open_session, listen=[config.cell.endpoint])
+    except BaseException:
+        await cell.close()
+        raise
+    try:
         plane = ControlPlane(cell, session)
         async with standing(cell):
             status = asyncio.create_task(plane.publish_status(), name="status")
