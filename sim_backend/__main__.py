@@ -48,12 +48,12 @@ def serve(
     endpoints = listen or [DEFAULT_ENDPOINT]
     try:
         task = Task.from_json({"seed": seed, "part": part})
+        # before Zenoh starts its threads: one of ordinary priority that the loop waits for would hold the loop up
+        refused = request_scheduling() if mode is Mode.REAL_TIME else []
         session = open_session(endpoints, connect or [], allow_remote=allow_remote)
     except (EndpointError, ValueError) as error:
         _fail(str(error), EXIT_USAGE)
     with session:
-        # Between the two: Zenoh's threads keep ordinary scheduling, those of the physics inherit this one's.
-        refused = request_scheduling() if mode is Mode.REAL_TIME else []
         cell = SimulatedCell(task.part)
         cell.reset(task)
         for line in refused:
