@@ -158,9 +158,10 @@ class Cell:
         self._states.to(CellState.STOPPING)
         self._confirmation = StopConfirmation(self._stop_parameters, self.driver.clock())
         state = ended_by(code)
-        run = self.runs.end(state, code, text, self._intake.peak_force_n, self._intake.time_s)
-        run_id = None if run is None else run.id
-        self.journal.set_latch(code, text, run_id, None if run is None else run.peak_force_n)
+        run_id, peak_n = self.runs.active_id, self._intake.peak_force_n
+        # Before the run's end: a process that dies between the two writes must come back latched
+        self.journal.set_latch(code, text, run_id, None if run_id is None else peak_n)
+        run = self.runs.end(state, code, text, peak_n, self._intake.time_s)
         self._tell_run(run)
         self._tell_state()
         self.journal.tell(EventKind.FAULT, self.state, text, code, run_id)
@@ -342,7 +343,7 @@ class Cell:
             mode=self.driver.mode,
             recipes=tuple(config.recipes),
             force_ceiling_n=self._intake.force_ceiling_n,
-            degradations=tuple(self.degradations),
+            degradations=(*self.degradations, *self._storage_trouble()),
             counters=self._intake.counters(self.driver.samples_dropped, self.telemetry_dropped, self.overruns),
         )
 
@@ -433,6 +434,9 @@ class Cell:
             force_ceiling_n=intake.force_ceiling_n,
             resetting=self._resetting,
         )
+
+    def _storage_trouble(self) -> tuple[str, ...]:
+        return () if self.journal.fault is None else (f"the state directory: {self.journal.fault}",)
 
     def _refuse(self, reason: Reason, detail: str) -> Refused:
         return Refused(problem=Problem(reason=reason, detail=detail, state=self.state))

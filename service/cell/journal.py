@@ -50,10 +50,8 @@ class Journal:
         self.latch: Latch | None = self._latch_file.read(time_of_day())
         self._storage = StorageThread()
         self.ledger = Ledger(directory, self._storage, time_of_day())
-        if self.ledger.interrupted and self.latch is None:
-            run = self.ledger.interrupted[-1]
-            text = f"run {run.id} was under way when the control process ended: inspect the cell, then reset"
-            self.set_latch(FaultCode.INTERRUPTED, text, run.id, run.peak_force_n)
+        if self.latch is None:
+            self._latch_by_ledger()
 
     @property
     def fault(self) -> str | None:
@@ -64,7 +62,7 @@ class Journal:
         """Latch; in force on return, whatever the disk does."""
         latch = Latch(code=code, text=text, latched_at=self.time_of_day(), run_id=run_id, peak_force_n=peak_force_n)
         self.latch = latch
-        self._try(lambda: self._storage.submit(lambda: self._latch_file.write(latch)))
+        self._storage.submit(lambda: self._latch_file.write(latch), owed=True)
         return latch
 
     def clear_latch_on_disk(self) -> Future[None]:
@@ -73,7 +71,14 @@ class Journal:
         Raises:
             StorageFullError: the disk does not keep up.
         """
-        return self._storage.submit(lambda: self._latch_file.write(None))
+
+        def clear() -> None:
+            # A latch that is still to be written would come back after it
+            if (owed := self._storage.owed_fault) is not None:
+                raise OSError(f"the latch itself is not on the disk yet ({owed})")
+            self._latch_file.write(None)
+
+        return self._storage.submit(clear)
 
     def record(self, run: Run) -> Future[None] | None:
         """Take in a run; None where the disk does not keep up."""
@@ -98,6 +103,21 @@ class Journal:
         if written:
             self.ledger.close()
         return written
+
+    def _latch_by_ledger(self) -> None:
+        """The latch's file says that nothing is latched: see whether the journal bears it out."""
+        ledger, then = self.ledger, "inspect the cell, then reset"
+        if ledger.interrupted:
+            run = ledger.interrupted[-1]
+            text = f"run {run.id} was under way when the control process ended: {then}"
+            self.set_latch(FaultCode.INTERRUPTED, text, run.id, run.peak_force_n)
+        elif ledger.unacknowledged is not None:
+            code, run_id = ledger.unacknowledged
+            text = f"the ledger has a stop by {code} without a reset after it, the latch's file has none: {then}"
+            self.set_latch(code, text, run_id, None)
+        elif ledger.tail_is_damaged:
+            text = f"the ledger's last line cannot be read; it may have been a run or a fault: {then}"
+            self.set_latch(FaultCode.INTERRUPTED, text, None, None)
 
     def _try(self, write: Callable[[], T]) -> T | None:
         try:

@@ -13,10 +13,12 @@ from pydantic import ValidationError
 
 from service.cell.storage import StorageThread
 from service.faults import FaultCode
-from service.messages import Event, Run, RunState
+from service.messages import Event, EventKind, Run, RunState
 
 FILE_NAME = "ledger.jsonl"
 RUNS_IN_MEMORY = 10_000
+LATCHING = frozenset({RunState.LATCHED, RunState.STOPPED, RunState.INTERRUPTED})
+"""Ends of a run that leave the cell latched."""
 
 
 class Ledger:
@@ -29,6 +31,12 @@ class Ledger:
         storage: does the writes.
         now: time of day, for the end of runs that are found unfinished.
 
+    Attributes:
+        interrupted: runs that were found without an end.
+        damaged_lines: found on opening, each skipped.
+        tail_is_damaged: the last line found was one of them.
+        unacknowledged: code and run of the last latching fault that was found without a reset after it.
+
     Raises:
         OSError: the directory or file cannot be used.
     """
@@ -39,6 +47,8 @@ class Ledger:
         self._runs: dict[str, Run] = {}
         self._by_key: dict[str, str] = {}
         self.damaged_lines = 0
+        self.tail_is_damaged = False
+        self.unacknowledged: tuple[FaultCode, str | None] | None = None
         path = directory / FILE_NAME
         torn = self._load(path)
         self._file = path.open("a", encoding="utf-8")
@@ -113,6 +123,22 @@ class Ledger:
 
         return self._storage.submit(write)
 
+    def _take(self, document: dict[str, Any]) -> None:
+        """Take in one line of the journal."""
+        if "run" in document:
+            run = Run.model_validate(document["run"])
+            self._runs[run.id] = run
+            if run.idempotency_key is not None:
+                self._by_key[run.idempotency_key] = run.id
+            if run.state in LATCHING:
+                self.unacknowledged = run.code or FaultCode.INTERNAL, run.id
+        elif "event" in document:
+            event = Event.model_validate(document["event"])
+            if event.kind is EventKind.FAULT:
+                self.unacknowledged = event.code or FaultCode.INTERNAL, event.run_id
+            elif event.kind is EventKind.RESET:
+                self.unacknowledged = None
+
     def _load(self, path: Path) -> bool:
         """Read the journal; return whether its last line was torn off by a crash."""
         try:
@@ -122,11 +148,11 @@ class Ledger:
         for line in raw.splitlines():
             try:
                 document: object = json.loads(line)
-                if isinstance(document, dict) and "run" in document:
-                    run = Run.model_validate(cast("dict[str, Any]", document)["run"])
-                    self._runs[run.id] = run
-                    if run.idempotency_key is not None:
-                        self._by_key[run.idempotency_key] = run.id
+                if isinstance(document, dict):
+                    self._take(cast("dict[str, Any]", document))
             except (ValueError, ValidationError):
                 self.damaged_lines += bool(line)
+                self.tail_is_damaged |= bool(line)
+            else:
+                self.tail_is_damaged = False
         return bool(raw) and not raw.endswith(b"\n")

@@ -8,6 +8,8 @@ from typing import Any
 
 CAPACITY = 1024
 """Writes that may wait. A run makes about ten, so a full queue means a disk that has stopped answering."""
+RETRY_S = 0.5
+"""Between two tries of an owed job."""
 
 
 class StorageFullError(OSError):
@@ -18,11 +20,14 @@ class StorageThread:
     """Runs jobs one after another on a thread of its own.
 
     A job that fails is remembered in `fault` until one succeeds again: the cell refuses to start a run meanwhile.
+    An *owed* job that fails is tried again until it succeeds, and is a fault until then, whatever else succeeds.
     """
 
     def __init__(self) -> None:
-        self._jobs: queue.Queue[tuple[Callable[[], Any], Future[Any]] | None] = queue.Queue(CAPACITY)
+        self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any], bool] | None] = queue.SimpleQueue()
         self._fault: str | None = None
+        self._owed: Callable[[], Any] | None = None
+        self._owed_fault: str | None = None
         self._thread = threading.Thread(target=self._work, name="storage", daemon=True)
         self._thread.start()
 
@@ -31,39 +36,70 @@ class StorageThread:
         """Why the last write failed, or that writes are piling up; None when the disk is well."""
         if self._jobs.qsize() > CAPACITY // 2:
             return f"{self._jobs.qsize()} writes wait for the disk"
-        return self._fault
+        return self._owed_fault or self._fault
 
-    def submit(self, job: Callable[[], Any]) -> Future[Any]:
-        """Queue a job; never blocks. The future holds its result or the exception.
+    @property
+    def owed_fault(self) -> str | None:
+        """Why the owed job has not been done yet; None when nothing is owed. Exact on the storage thread only."""
+        return self._owed_fault
+
+    def submit(self, job: Callable[[], Any], *, owed: bool = False) -> Future[Any]:
+        """Queue a job; never blocks. The future holds the result of its first try, or the exception.
+
+        Args:
+            job: blocks on the disk.
+            owed: to be tried again until it succeeds; a newer owed job takes its place. Never refused.
 
         Raises:
             StorageFullError: `CAPACITY` jobs wait already.
         """
-        future: Future[Any] = Future()
-        try:
-            self._jobs.put_nowait((job, future))
-        except queue.Full:
+        if not owed and self._jobs.qsize() >= CAPACITY:
             self._fault = f"{CAPACITY} writes wait for the disk"
-            raise StorageFullError(self._fault) from None
+            raise StorageFullError(self._fault)
+        future: Future[Any] = Future()
+        self._jobs.put((job, future, owed))
         return future
 
     def close(self, timeout_s: float) -> bool:
         """Finish what is queued, for at most `timeout_s`; return whether everything was written."""
-        try:
-            self._jobs.put(None, timeout=timeout_s)
-        except queue.Full:
-            return False
+        self._jobs.put(None)
         self._thread.join(timeout_s)
-        return not self._thread.is_alive()
+        return not self._thread.is_alive() and self._owed is None
 
     def _work(self) -> None:
-        while (entry := self._jobs.get()) is not None:
-            job, future = entry
+        while True:
+            try:
+                entry = self._jobs.get(timeout=None if self._owed is None else RETRY_S)
+            except queue.Empty:
+                self._pay()
+                continue
+            if entry is None:
+                self._pay()
+                return
+            job, future, owed = entry
+            if owed:
+                self._owed = None
+            else:
+                self._pay()
             try:
                 result = job()
             except Exception as error:
                 self._fault = f"{type(error).__name__}: {error}"
+                if owed:
+                    self._owed, self._owed_fault = job, self._fault
                 future.set_exception(error)
             else:
                 self._fault = None
+                if owed:
+                    self._owed_fault = None
                 future.set_result(result)
+
+    def _pay(self) -> None:
+        if self._owed is None:
+            return
+        try:
+            self._owed()
+        except Exception as error:
+            self._owed_fault = f"{type(error).__name__}: {error}"
+        else:
+            self._owed = self._owed_fault = None
