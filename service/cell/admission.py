@@ -58,6 +58,8 @@ def why_not_start(
     if not states.allows(CellState.PREFLIGHT):
         why = standing.link_text or "wait until it is READY"
         return standing.problem(Reason.WRONG_STATE, f"the cell is {states.state}: {why}")
+    if standing.link_text is not None:
+        return standing.problem(Reason.NO_MEASUREMENT, f"the arm is not measured: {standing.link_text}")
     if standing.storage_text is not None:
         text = f"the state directory cannot be written: {standing.storage_text}"
         return standing.problem(Reason.STORAGE, text)
@@ -85,6 +87,9 @@ def why_not_reset(standing: Standing, request: ResetRequest, limits: LimitsSecti
         return standing.problem(Reason.NO_MEASUREMENT, f"the arm is not measured: {why}; restore the link first")
     if sample.program is Program.PROTECTIVE_STOP:
         text = "the arm is in its protective stop; its release was asked for: try again in some seconds"
+        return standing.problem(Reason.WRONG_STATE, text)
+    if sample.program is not Program.IDLE:
+        text = f"the arm's program is {sample.program.name}: it is being stopped; try again when it rests"
         return standing.problem(Reason.WRONG_STATE, text)
     if report.measured(sample, 0.0).moving:
         return standing.problem(Reason.WRONG_STATE, "the arm is moving")

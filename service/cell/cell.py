@@ -124,7 +124,10 @@ class Cell:
 
     def _take(self, sample: Sample) -> None:
         if self._preparing:
+            self._take_while_preparing(sample)
             return
+        if self.unlinked.is_set() and self.state not in WITH_RUN and self.state is not CellState.STOPPING:
+            return  # it may be of the source that was given up
         verdict = self._intake.judge(sample)
         if verdict.fault is not None:
             self.halt(verdict.fault, verdict.text)
@@ -139,8 +142,17 @@ class Cell:
             self._await_standstill(sample)
         elif self.runs.active is not None:
             self.runs.active.on_sample(sample)
+        elif sample.program is Program.ENGAGED and sample.seq % STOP_AGAIN_TICKS == 0:
+            self.driver.stop()  # nothing of ours drives it
         if self._intake.accepted % TELEMETRY_TICKS == 0:
             self._send_telemetry(sample)
+
+    def _take_while_preparing(self, sample: Sample) -> None:
+        """The old world's samples end and the new one's begin: each is judged by itself."""
+        verdict = self._intake.judge_alone(sample)
+        if verdict.fault is not None:
+            self.halt(verdict.fault, verdict.text)
+        self._await_standstill(sample)
 
     # --- stopping
 
@@ -176,7 +188,7 @@ class Cell:
     def _await_standstill(self, sample: Sample) -> None:
         if self._confirmation is None:
             return
-        if sample.program is Program.ENGAGED and self._intake.accepted % STOP_AGAIN_TICKS == 0:
+        if sample.program is Program.ENGAGED and sample.seq % STOP_AGAIN_TICKS == 0:
             self.driver.stop()
         if sample.program in (Program.ENGAGED, Program.STOPPING):
             # Standing still is not enough while the arm's program could go on
@@ -209,14 +221,12 @@ class Cell:
 
     def watch(self) -> None:
         """Judge the silence; `watch.keep_watch` calls this every few milliseconds of real time."""
-        if self._preparing:
-            return
         now = self.driver.clock()
         if self._confirmation is not None:
             if self.state is CellState.STOPPING:
                 self.driver.stop()
             self._conclude(self._confirmation.check(now))
-        if self.unlinked.is_set():
+        if self._preparing or (self.unlinked.is_set() and self.state not in WITH_RUN):
             return
         loss = self.config.client_loss
         if loss.policy == "stop" and self.state in WITH_RUN and now - self._client_heard_at > loss.limit_s:
@@ -235,9 +245,14 @@ class Cell:
         What an earlier process left moving is stopped: nothing that this one did not start goes on.
         """
         self.driver.stop()
+        if self.state in WITH_RUN:
+            self.halt(FaultCode.LINK, "the link to the arm was made anew under a run")
+            return
         self._intake.renew()
         self._link_text = "connected, no sample yet"
         self.unlinked.clear()
+        if self.state is CellState.OFFLINE:
+            self.enter(CellState.CONNECTING)
 
     def lose_link(self, text: str) -> None:
         """Give the link up; `watch.keep_linked` tries again."""

@@ -44,16 +44,7 @@ class Intake:
 
     def judge(self, sample: Sample) -> Verdict:
         """Judge a sample on its arrival, and keep it if it can be believed."""
-        verdict = self._monitor.check(
-            epoch=sample.epoch,
-            episode=sample.episode,
-            seq=sample.seq,
-            time_s=sample.time_s,
-            wrench=sample.wrench,
-            motion=np.concatenate((sample.q, sample.qd, sample.tcp_position, sample.tcp_rotvec, sample.tcp_velocity)),
-            saturated=sample.saturated,
-            now=sample.arrival_s,
-        )
+        verdict = _check(self._monitor, sample)
         if not verdict.accepted:
             self._ignored += 1
         elif verdict.fault not in UNBELIEVED:
@@ -63,6 +54,10 @@ class Intake:
                 self._missed += max(0, sample.seq - self.sample.seq - 1)
             self.sample = sample
         return verdict
+
+    def judge_alone(self, sample: Sample) -> Verdict:
+        """Judge a sample without what came before it, and keep nothing of it."""
+        return _check(Monitor(plan_monitor(self._limits, self._limits.force_ceiling_n)), sample)
 
     def renew(self, force_ceiling_n: float | None = None) -> None:
         """Expect another source or another world: the next sample is the first.
@@ -126,3 +121,16 @@ class Intake:
             telemetry_dropped=telemetry_dropped,
             loop_overruns=loop_overruns,
         )
+
+
+def _check(monitor: Monitor, sample: Sample) -> Verdict:
+    return monitor.check(
+        epoch=sample.epoch,
+        episode=sample.episode,
+        seq=sample.seq,
+        time_s=sample.time_s,
+        wrench=sample.wrench,
+        motion=np.concatenate((sample.q, sample.qd, sample.tcp_position, sample.tcp_rotvec, sample.tcp_velocity)),
+        saturated=sample.saturated,
+        now=sample.arrival_s,
+    )

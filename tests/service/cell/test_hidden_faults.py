@@ -1,21 +1,35 @@
 """Faults that hide: behind a zeroed sensor, a slow disk, a link that comes and goes, an arm that does not obey."""
 
-from collections.abc import Sequence
+import asyncio
+from collections.abc import AsyncIterator, Callable, Sequence
+from concurrent.futures import Future
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from service.drivers.base import Driver, Program
+from service.cell import watch
+from service.drivers.base import Driver, DriverError, Program, SampleSink, Setup
 from service.faults import FaultCode
-from service.messages import RunState
-from service.testing import cell_config, lockstep_cell
+from service.messages import (
+    CellState,
+    Reason,
+    Refused,
+    ResetRequest,
+    RunState,
+    StartRequest,
+    StatusResult,
+    StopRequest,
+)
+from service.testing import RECIPE, Bench, cell_config, lockstep_cell
 from sim_backend.cell import SimulatedCell
 from sim_backend.protocol.task import Task
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyCell
-from tests.service.cell.faulty_driver import FaultyDriver
+from tests.service.cell.faulty_driver import FaultyDriver, with_wrench
 
 
 class LoadedCell(SimulatedCell):
@@ -57,3 +71,177 @@ async def test_a_sensor_is_zeroed_only_while_the_arm_stands_and_rests(faulty_cel
         run = await faulty.bench.insert(EASY)
         assert (run.state, run.code) == (RunState.LATCHED, FaultCode.STOP_UNCONFIRMED)
         assert faulty.driver.said("zero_ft") == faulty.driver.said("engage") == []
+
+
+async def test_the_latch_is_the_first_thing_that_a_fault_writes(
+    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with faulty_cell() as faulty:
+        await faulty.running()
+        written: list[str] = []
+        storage = faulty.bench.cell.journal._storage
+        submit = storage.submit
+
+        def note(job: Callable[[], Any], *, owed: bool = False) -> Future[Any]:
+            written.append("latch" if owed else "ledger")
+            return submit(job, owed=owed)
+
+        monkeypatch.setattr(storage, "submit", note)
+        faulty.driver.spoil = lambda sample: [with_wrench(sample, fx=45.0)]
+        await faulty.bench.state(CellState.STOPPING)
+        assert written[:2] == ["latch", "ledger"], "a process that dies between the two comes back latched"
+
+
+async def test_a_latch_that_cannot_be_written_is_shown_holds_and_is_written_later(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        bench, obstacle = faulty.bench, faulty.state_dir / "latch.tmp"
+        run = await faulty.running()
+        obstacle.mkdir()
+        bench.cell.stop(StopRequest())
+        await faulty.assert_latched(run, FaultCode.OPERATOR_STOP)
+        await asyncio.to_thread(bench.cell.journal._storage.submit(lambda: None).result, 5.0)
+        assert "state directory" in bench.cell.status().degradations[-1]
+        answer = await bench.cell.reset(ResetRequest())
+        assert isinstance(answer, Refused)
+        assert answer.problem.reason is Reason.STORAGE
+        obstacle.rmdir()
+        await asyncio.to_thread(bench.cell.journal._storage.submit(lambda: None).result, 5.0)
+        assert FaultCode.OPERATOR_STOP in (faulty.state_dir / "latch.json").read_text()
+        assert bench.cell.status().degradations == ()
+        assert isinstance(await bench.cell.reset(ResetRequest()), StatusResult)
+
+
+class Connecting(FaultyDriver):
+    """Samples flow at once, and connecting ends when the test says so."""
+
+    hold = False
+    fail = False
+
+    async def connect(self, sink: SampleSink) -> None:
+        await super().connect(sink)
+        while self.hold:
+            await asyncio.sleep(0)
+        if self.fail:
+            raise DriverError(FaultCode.LINK, "no answer")
+
+
+@asynccontextmanager
+async def connecting_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[tuple[Bench, Connecting]]:
+    monkeypatch.setattr(watch, "RECONNECT_S", 0.01)
+    drivers: list[Connecting] = []
+
+    def wrap(driver: Driver) -> Connecting:
+        drivers.append(Connecting(driver))
+        return drivers[-1]
+
+    config = cell_config(tmp_path / "state", policies.straight(tmp_path), conditions="easy")
+    async with lockstep_cell(config, wrap=wrap) as bench:
+        drivers[0].real_time = True
+        await bench.state(CellState.READY)
+        yield bench, drivers[0]
+
+
+async def test_while_connecting_samples_of_a_source_not_yet_believed_make_nothing_ready(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with connecting_cell(tmp_path, monkeypatch) as (bench, driver):
+        driver.hold = driver.fail = True
+        driver.on_link_fault(FaultCode.LINK, "a command could not be sent")
+        await bench.let_pass(0.3)
+        assert bench.cell.state in (CellState.OFFLINE, CellState.CONNECTING)
+        assert not bench.cell.status().can_start
+        assert isinstance(await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY)), Refused)
+        driver.hold = driver.fail = False
+        await bench.state(CellState.READY)
+
+
+async def test_a_simulator_that_was_restarted_is_ready_again_by_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with connecting_cell(tmp_path, monkeypatch) as (bench, driver):
+        driver.hold, driver.spoil = True, lambda sample: []
+        await bench.state(CellState.CONNECTING)
+        driver.spoil = lambda sample: [replace(sample, epoch=sample.epoch + 1)]
+        await bench.let_pass(0.1)
+        driver.hold = False
+        await bench.state(CellState.READY, limit_s=20.0)
+        assert bench.cell.status().can_start
+
+
+async def test_a_link_that_is_made_anew_under_a_run_ends_it_link(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell(force_ceiling_n=20.0) as faulty:
+        run = await faulty.running()
+        faulty.bench.cell.linked()
+        await faulty.assert_latched(run, FaultCode.LINK)
+
+
+async def test_an_arm_that_stays_engaged_is_stopped_again_and_again_and_no_reset_is_granted(
+    faulty_cell: FaultyCell, tmp_path: Path
+) -> None:
+    async with faulty_cell(policies.still(tmp_path)) as faulty:
+        bench, driver = faulty.bench, faulty.driver
+        driver.deaf_to_stop = True
+        await bench.start(EASY)
+        await bench.state(CellState.APPROACH)
+        await bench.let_pass(0.1)
+        bench.cell.stop(StopRequest())
+        await bench.state(CellState.LATCHED)
+        await bench.let_pass(1.0)
+        asked = len(driver.said("stop"))
+        await bench.let_pass(0.5)
+        assert len(driver.said("stop")) - asked >= 40
+        assert driver.truth.program is Program.ENGAGED
+        answer = await bench.cell.reset(ResetRequest())
+        assert isinstance(answer, Refused)
+        assert bench.cell.state is CellState.LATCHED
+        driver.deaf_to_stop = False
+        await bench.until(lambda: driver.truth.program is Program.IDLE)
+        assert isinstance(await bench.cell.reset(ResetRequest()), StatusResult)
+
+
+class Preparing(FaultyDriver):
+    """Takes its time to lay out a world; samples go on meanwhile."""
+
+    async def prepare(self, setup: Setup) -> None:
+        end = self.clock() + 3.0
+        while self.clock() < end:
+            await asyncio.sleep(0)
+        await super().prepare(setup)
+
+
+@asynccontextmanager
+async def preparing_cell(tmp_path: Path) -> AsyncIterator[tuple[Bench, Preparing]]:
+    drivers: list[Preparing] = []
+
+    def wrap(driver: Driver) -> Preparing:
+        drivers.append(Preparing(driver))
+        return drivers[-1]
+
+    config = cell_config(tmp_path / "state", policies.straight(tmp_path), conditions="easy")
+    async with lockstep_cell(config, wrap=wrap) as bench:
+        await bench.state(CellState.READY)
+        await bench.start(EASY)
+        await bench.let_pass(0.1)
+        yield bench, drivers[0]
+
+
+async def test_a_force_at_the_ceiling_latches_while_the_world_is_prepared_too_force_ceiling(tmp_path: Path) -> None:
+    async with preparing_cell(tmp_path) as (bench, driver):
+        driver.spoil = lambda sample: [with_wrench(sample, fx=60.0)]
+        await bench.let_pass(0.01)
+        driver.spoil = lambda sample: [sample]
+        await bench.state(CellState.LATCHED, limit_s=1.0)
+        assert bench.cell.journal.latch.code is FaultCode.FORCE_CEILING
+        assert driver.said("stop")
+
+
+async def test_a_stop_is_confirmed_while_the_world_is_still_being_prepared(tmp_path: Path) -> None:
+    async with preparing_cell(tmp_path) as (bench, driver):
+        at = driver.clock()
+        bench.cell.stop(StopRequest())
+        await bench.state(CellState.LATCHED, limit_s=1.0)
+        assert driver.clock() - at < bench.cell.config.limits.stop_confirm_s
+        assert bench.cell.journal.latch.code is FaultCode.OPERATOR_STOP
+        await bench.let_pass(4.0)
+        assert bench.cell.state is CellState.LATCHED
+        assert driver.said("engage") == []
