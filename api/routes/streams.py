@@ -73,4 +73,4 @@ def _newest(points: asyncio.Queue[Telemetry]) -> Frame | None:
     while not points.empty():
         newest = points.get_nowait()
         peak_n = max(peak_n, newest.force_peak_n)
-    return None if newest is None else Frame(**dict(newest) | {"force_peak_n": peak_n})
+    return None if newest is None else Frame(**dict(newest.model_copy(update={"force_peak_n": peak_n})))
