@@ -385,8 +385,7 @@ class Cell:
 
     def on_tick(self, record: TickRecord) -> None:
         """Hand a policy step's record on."""
-        for observer in self.journal.observers:
-            observer.on_tick(record)
+        self.journal.inform(lambda observer: observer.on_tick(record))
 
     async def _prepare(self, active: ActiveRun, policy: Policy) -> None:
         try:
@@ -474,5 +473,4 @@ class Cell:
         insertion = None if self.runs.active is None else self.runs.active.insertion
         peak_n = self._intake.take_recent_peak()
         point = report.telemetry(sample, peak_n, self.state, insertion, self.runs.active_id)
-        for observer in self.journal.observers:
-            observer.on_telemetry(point)
+        self.journal.inform(lambda observer: observer.on_telemetry(point))

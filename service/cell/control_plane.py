@@ -73,7 +73,10 @@ class ControlPlane:
     async def publish_status(self) -> None:
         """Publish the heartbeat until cancelled."""
         while True:
-            self._put(self._status, self._cell.status())
+            try:
+                self._put(self._status, self._cell.status())
+            except Exception:
+                _log.exception("status")  # the next one may be well again; without any, clients think the cell dead
             await asyncio.sleep(messages.HEARTBEAT_S)
 
     # --- as the cell's observer

@@ -6,6 +6,8 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+import structlog
+
 from service.cell.latch import LatchFile
 from service.cell.ledger import Ledger
 from service.cell.records import TickRecord
@@ -14,6 +16,8 @@ from service.faults import FaultCode
 from service.messages import CellState, Event, EventKind, Latch, Run, Telemetry
 
 T = TypeVar("T")
+
+_log = structlog.get_logger("service.cell")
 
 
 class Observer(Protocol):
@@ -84,6 +88,10 @@ class Journal:
         """Take in a run; None where the disk does not keep up."""
         return self._try(lambda: self.ledger.record(run))
 
+    def forget(self, run_id: str) -> None:
+        """Take a run out again that was not accepted after all."""
+        self._try(lambda: self.ledger.forget(run_id))
+
     def tell(
         self, kind: EventKind, state: CellState, text: str, code: FaultCode | None = None, run_id: str | None = None
     ) -> None:
@@ -94,8 +102,15 @@ class Journal:
             run_id=run_id, code=code, text=text,
         )  # fmt: skip
         self._try(lambda: self.ledger.note(event))
+        self.inform(lambda observer: observer.on_event(event))
+
+    def inform(self, of: Callable[[Observer], None]) -> None:
+        """Call every observer; one that fails is logged, and neither the cell nor another observer suffers."""
         for observer in self.observers:
-            observer.on_event(event)
+            try:
+                of(observer)
+            except Exception:
+                _log.exception("observer", kind=type(observer).__name__)
 
     def close(self, timeout_s: float) -> bool:
         """Write what is pending; return whether all of it was written in time."""

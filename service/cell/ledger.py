@@ -87,6 +87,16 @@ class Ledger:
                 del self._by_key[oldest.idempotency_key]
         return self._append({"run": run.model_dump(mode="json")})
 
+    def forget(self, run_id: str) -> None:
+        """Take a run out again that was not accepted after all; one that is not known is no matter.
+
+        Raises:
+            StorageFullError: the disk does not keep up; the run is out of memory all the same.
+        """
+        if self._forget(run_id):
+            # Its line may have reached the disk, or may yet
+            self._append({"forgotten": run_id})
+
     def note(self, event: Event) -> None:
         """Take in an event.
 
@@ -123,6 +133,12 @@ class Ledger:
 
         return self._storage.submit(write)
 
+    def _forget(self, run_id: str) -> bool:
+        run = self._runs.pop(run_id, None)
+        if run is not None and run.idempotency_key is not None:
+            self._by_key.pop(run.idempotency_key, None)
+        return run is not None
+
     def _take(self, document: dict[str, Any]) -> None:
         """Take in one line of the journal."""
         if "run" in document:
@@ -132,6 +148,8 @@ class Ledger:
                 self._by_key[run.idempotency_key] = run.id
             if run.state in LATCHING:
                 self.unacknowledged = run.code or FaultCode.INTERNAL, run.id
+        elif "forgotten" in document:
+            self._forget(str(document["forgotten"]))
         elif "event" in document:
             event = Event.model_validate(document["event"])
             if event.kind is EventKind.FAULT:

@@ -135,7 +135,11 @@ class ActiveRun:
         if self._abandoned or self.insertion is None:
             return
         before = self.insertion.steps
-        self._carry_out(self.insertion.take_action(action))
+        try:
+            self._carry_out(self.insertion.take_action(action))
+        except Exception as error:
+            self._host.halt(FaultCode.INTERNAL, f"{type(error).__name__}: {error}")
+            _log.exception("action", run=self.accepted.id)
         if self.insertion.steps > before and self.insertion.last is not None:
             self._host.on_tick(self.insertion.last)
 

@@ -79,6 +79,7 @@ class Runs:
         """Forget the run under way: it was not accepted after all."""
         if self.active is not None:
             self.active.abandon()
+            self._journal.forget(self.active.accepted.id)
             self.active = None
 
     def current(self, peak_force_n: float, now_s: float) -> Run | None:

@@ -2,6 +2,8 @@
 
 import asyncio
 
+import structlog
+
 from service.cell.cell import Cell
 from service.cell.states import WITH_RUN
 from service.drivers.base import DriverError
@@ -13,6 +15,8 @@ PERIOD_S = 0.005
 OVERRUN_S = 0.02
 """Lateness of a turn of the watch that counts as an overrun."""
 OVERRUNS_IN_A_ROW = 5
+
+_log = structlog.get_logger("service.cell")
 
 
 async def keep_linked(cell: Cell) -> None:
@@ -37,6 +41,7 @@ async def keep_watch(cell: Cell) -> None:
         return
     in_a_row = 0
     before = cell.driver.clock()
+    well = True
     while True:
         await asyncio.sleep(PERIOD_S)
         now = cell.driver.clock()
@@ -46,4 +51,13 @@ async def keep_watch(cell: Cell) -> None:
         before = now
         if in_a_row >= OVERRUNS_IN_A_ROW and cell.state in WITH_RUN:
             cell.halt(FaultCode.OVERRUN, f"the control loop was more than {OVERRUN_S * 1e3:g} ms late {in_a_row} times")
-        cell.watch()
+        try:
+            cell.watch()
+        except Exception as error:
+            cell.driver.stop()
+            cell.halt(FaultCode.INTERNAL, f"{type(error).__name__} in the watch: {error}")
+            if well:  # once, not two hundred times a second
+                _log.exception("watch")
+            well = False
+        else:
+            well = True

@@ -14,6 +14,12 @@ from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 from service.safety.verdict import IGNORED, PASSED, Verdict
 
 
+PLAUSIBLE = 1e6
+"""N, N·m, m, rad and their rates: no cell measures more, and what is more overflows where it is squared."""
+STANDING_STAMPS = 3
+"""So many stamps in a row that do not advance are a clock that stands; one may have been set back."""
+
+
 @dataclass(frozen=True, slots=True)
 class MonitorParameters:
     """Limits of a sample; the numbers are the configuration's.
@@ -77,6 +83,7 @@ class Monitor:
         "_peak",
         "_repeats",
         "_seq",
+        "_standing",
         "_time",
         "_wrench_bytes",
     )
@@ -94,6 +101,7 @@ class Monitor:
         self._arrival = -inf
         self._wrench_bytes = b""
         self._repeats = 1
+        self._standing = 0
         self._force = 0.0
         self._peak = 0.0
 
@@ -132,7 +140,7 @@ class Monitor:
             time_s: the source's stamp, s. Never used as an age: clocks step.
             wrench: (6,) N, N·m at the TCP, base frame, not clipped.
             motion: any shape; the other numbers of the sample that the cell goes by (pose, velocity). Only their
-                finiteness is judged.
+                finiteness and plausibility are judged.
             saturated: a raw channel is at the end of the sensor's range.
             now: arrival, s, of the caller's monotonic clock.
 
@@ -149,13 +157,17 @@ class Monitor:
         self._seq = seq
 
         fx, fy, fz, tx, ty, tz = wrench.tolist()
-        # A sum is finite only if every term is
-        if not isfinite(fx + fy + fz + tx + ty + tz):
-            return Verdict(FaultCode.SENSOR_INVALID, text=f"wrench is not finite: {wrench.tolist()}")
-        if not isfinite(time_s) or not isfinite(sum(motion.ravel().tolist())):
-            return Verdict(FaultCode.SENSOR_INVALID, text="a pose, velocity or time stamp is not finite")
+        # A sum is finite only if every term is, and only then do min and max mean anything
+        if not (isfinite(fx + fy + fz + tx + ty + tz) and max(map(abs, (fx, fy, fz, tx, ty, tz))) <= PLAUSIBLE):
+            return Verdict(FaultCode.SENSOR_INVALID, text=f"wrench is not finite or not plausible: {wrench.tolist()}")
+        moved = motion.ravel().tolist()
+        if not (isfinite(time_s) and isfinite(sum(moved)) and max(map(abs, moved), default=0.0) <= PLAUSIBLE):
+            return Verdict(
+                FaultCode.SENSOR_INVALID, text="a pose, velocity or time stamp is not finite or not plausible"
+            )
 
         gap = 0.0 if self._time is None else time_s - self._time
+        self._standing = 0 if self._time is None or gap > 0.0 else self._standing + 1
         self._time, self._arrival = time_s, now
         force = hypot(fx, fy, fz)
         self._force = force
@@ -200,6 +212,13 @@ class Monitor:
                 f"{self._repeats} bit-identical wrenches in a row with fresh stamps",
             )
 
+        if self._standing >= STANDING_STAMPS:
+            return Verdict(
+                FaultCode.STALE,
+                self._standing,
+                STANDING_STAMPS,
+                f"the time stamp has not advanced for {self._standing} samples: the source's clock stands",
+            )
         if gap > limits.max_gap_s:
             return Verdict(
                 FaultCode.STALE,

@@ -1,6 +1,7 @@
 """Faults that hide: behind a zeroed sensor, a slow disk, a link that comes and goes, an arm that does not obey."""
 
 import asyncio
+import os
 from collections.abc import AsyncIterator, Callable, Sequence
 from concurrent.futures import Future
 from contextlib import asynccontextmanager
@@ -12,18 +13,25 @@ import numpy as np
 import pytest
 
 from service.cell import watch
+from service.cell.inference import InlineInference, OnAction, OnFailure
+from service.cell.journal import Journal
+from service.cell.records import TickRecord
 from service.drivers.base import Driver, DriverError, Program, SampleSink, Setup
 from service.faults import FaultCode
 from service.messages import (
     CellState,
+    Event,
     Reason,
     Refused,
     ResetRequest,
+    RunResult,
     RunState,
     StartRequest,
     StatusResult,
     StopRequest,
+    Telemetry,
 )
+from service.policy.model import Policy
 from service.testing import RECIPE, Bench, cell_config, lockstep_cell
 from sim_backend.cell import SimulatedCell
 from sim_backend.protocol.task import Task
@@ -245,3 +253,119 @@ async def test_a_stop_is_confirmed_while_the_world_is_still_being_prepared(tmp_p
         await bench.let_pass(4.0)
         assert bench.cell.state is CellState.LATCHED
         assert driver.said("engage") == []
+
+
+async def test_a_clock_of_the_arm_that_stands_is_stale_though_samples_go_on(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell(real_time=True) as faulty:
+        run = await faulty.running()
+        stamp = faulty.driver.truth.time_s
+        faulty.driver.spoil = lambda sample: [replace(sample, time_s=stamp)]
+        await faulty.bench.until(lambda: faulty.bench.cell.journal.latch is not None, 0.1)
+        faulty.driver.spoil = lambda sample: [sample]
+        await faulty.assert_latched(run, FaultCode.STALE)
+
+
+async def test_an_absurd_velocity_latches_and_can_still_be_shown(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        absurd = np.array([1e200, 0.0, 0.0, 0.0, 0.0, 0.0])
+        faulty.driver.spoil = lambda sample: [replace(sample, tcp_velocity=absurd)]
+        await faulty.bench.state(CellState.STOPPING)
+        assert faulty.bench.cell.status().state is CellState.STOPPING
+        faulty.driver.spoil = lambda sample: [sample]
+        await faulty.assert_latched(run, FaultCode.SENSOR_INVALID)
+
+
+class LaterInference:
+    """Answers in a later turn of the loop, as a thread would, but at a time that the simulation fixes."""
+
+    def __init__(self, policy: Policy, on_action: OnAction, on_failure: OnFailure) -> None:
+        self._inner = InlineInference(policy, self._answer, on_failure)
+        self._on_action = on_action
+        self._closed = False
+
+    def ask(self, observation: np.ndarray) -> None:
+        self._inner.ask(observation)
+
+    def close(self) -> None:
+        self._closed = True
+
+    def _answer(self, action: np.ndarray) -> None:
+        asyncio.get_running_loop().call_soon(lambda: None if self._closed else self._on_action(action))
+
+
+async def test_an_error_of_ours_after_an_answer_from_elsewhere_latches_internal(
+    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with faulty_cell(inference=LaterInference) as faulty:
+        run = await faulty.running()
+
+        def fail(*_: object) -> None:
+            raise ZeroDivisionError("ours")
+
+        monkeypatch.setattr("service.safety.dsl.step", fail)
+        ended = await faulty.assert_latched(run, FaultCode.INTERNAL)
+        assert "ZeroDivisionError" in ended.text
+
+
+async def test_an_observer_that_fails_costs_nobody_else_anything(faulty_cell: FaultyCell) -> None:
+    class Broken:
+        def on_event(self, event: Event) -> None:
+            raise RuntimeError("observer")
+
+        def on_telemetry(self, point: Telemetry) -> None:
+            raise RuntimeError("observer")
+
+        def on_tick(self, record: TickRecord) -> None:
+            raise RuntimeError("observer")
+
+    async with faulty_cell() as faulty:
+        faulty.bench.cell.journal.observers.insert(0, Broken())
+        run = await faulty.bench.insert(EASY)
+        assert run.state is RunState.SUCCEEDED
+        assert faulty.bench.events
+        assert faulty.bench.telemetry
+
+
+async def test_a_watch_that_fails_stops_the_run_and_watches_on(
+    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with faulty_cell(real_time=True) as faulty:
+        run = await faulty.running()
+        cell, watched = faulty.bench.cell, list[int]()
+
+        def fail() -> None:
+            watched.append(1)
+            raise ZeroDivisionError("ours")
+
+        guard = asyncio.create_task(watch.keep_watch(cell))
+        await asyncio.sleep(0)
+        faulty.driver.real_time = False  # from here on only `keep_watch` watches
+        monkeypatch.setattr(cell, "watch", fail)
+        await faulty.assert_latched(run, FaultCode.INTERNAL)
+        while len(watched) < 3:
+            await asyncio.sleep(0.005)
+        assert not guard.done()
+        guard.cancel()
+
+
+async def test_a_start_that_the_disk_refused_leaves_no_run_behind(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        bench, ledger = faulty.bench, faulty.bench.cell.journal.ledger
+        request = StartRequest(recipe=RECIPE, seed=EASY, idempotency_key="once")
+        full, whole = os.open("/dev/full", os.O_WRONLY), os.dup(ledger._file.fileno())
+        os.dup2(full, ledger._file.fileno())
+        refused = await bench.cell.start(request)
+        os.dup2(whole, ledger._file.fileno())
+        assert isinstance(refused, Refused)
+        assert refused.problem.reason is Reason.STORAGE
+        assert ledger.newest(10) == ()
+        await asyncio.wait_for(asyncio.wrap_future(bench.cell.journal._storage.submit(lambda: None)), 5.0)
+        accepted = await bench.cell.start(request)
+        assert isinstance(accepted, RunResult)
+        assert accepted.created, "it is a start, not the run that never was"
+        bench.cell.stop(StopRequest())
+        await bench.state(CellState.LATCHED)
+    journal = Journal(faulty.state_dir, lambda: 0.0)
+    assert [run.id for run in journal.ledger.newest(10)] == [accepted.run.id]
+    journal.close(5.0)

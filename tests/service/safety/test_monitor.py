@@ -253,3 +253,20 @@ def test_the_hard_maxima_themselves_and_two_samples_are_allowed() -> None:
     assert source.monitor.force_n == 0.0
     assert source.send([1, 0, 0, 0, 0, 0], seq=0).fault is None
     assert source.send([1, 0, 0, 0, 0, 0]).fault is FaultCode.SENSOR_STUCK
+
+
+@pytest.mark.parametrize("number", [1.1e6, -1e200])
+def test_numbers_that_no_cell_measures_are_invalid(source: Source, number: float) -> None:
+    assert source.send([0.0, 0.0, 0.0, 0.0, number, 0.0]).fault is FaultCode.SENSOR_INVALID
+    motion = np.zeros(12)
+    motion[7] = number
+    assert source.send(motion=motion).fault is FaultCode.SENSOR_INVALID
+
+
+def test_a_clock_that_stands_is_stale(source: Source) -> None:
+    stamp = source.seq * TICK
+    assert [source.send(time_s=stamp).fault for _ in range(3)] == [None, None, FaultCode.STALE]
+
+
+def test_a_clock_that_was_set_back_once_is_no_fault(source: Source) -> None:
+    assert [source.send(time_s=(source.seq + 1) * TICK - 5.0).fault for _ in range(20)] == [None] * 20
