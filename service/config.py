@@ -13,6 +13,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 
 from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 from service.messages import NAME_PATTERN
+from service.safety.dsl import Mode
 
 PATH_VARIABLE = "DSL_ASSEMBLY_CONFIG"
 DEFAULT_PATH = Path("config/cell.toml")
@@ -75,6 +76,11 @@ class LimitsSection(Section):
         max_turn_speed_rad_s: the same for the yaw.
         max_tilt_rad: of the tool from straight down; the shipped policy stays within 0.021.
         max_stiffness: N/m and N·m/rad that the control program runs; a policy that wants more is refused.
+        min_damping: N·s/m and N·m·s/rad; a policy that wants less is refused: with the sensor's delay it would swing.
+        min_inertia: kg and kg·m², likewise.
+        max_press_m: how far a policy's lock may press below the height of a contact.
+        max_hole_offset_m: farthest that the camera's estimate of the hole may lie from the recipe's nominal one, per
+            axis; beyond it the run fails before any motion.
         workspace_m: lower and upper corner of the box that the TCP stays in, base frame.
         yaw_range_rad: how far the yaw may go from the start yaw, either way.
         clamped_steps: outrageous policy steps in a row before the cell latches BOUNDS.
@@ -93,6 +99,10 @@ class LimitsSection(Section):
     max_turn_speed_rad_s: Annotated[float, Field(gt=0.0, le=3.0, allow_inf_nan=False)] = 3.0
     max_tilt_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = 0.05
     max_stiffness: SixPositive = (3000.0, 3000.0, 3000.0, 100.0, 100.0, 100.0)
+    min_damping: SixPositive = (60.0, 60.0, 60.0, 0.1, 0.1, 0.1)
+    min_inertia: SixPositive = (0.5, 0.5, 0.5, 0.01, 0.01, 0.005)
+    max_press_m: Annotated[float, Field(gt=0.0, le=0.02, allow_inf_nan=False)] = 5e-3
+    max_hole_offset_m: tuple[Positive, Positive, Positive] = (0.08, 0.06, 0.05)
     workspace_m: Box
     yaw_range_rad: Annotated[float, Field(gt=0.0, le=3.14159, allow_inf_nan=False)] = 1.45
     clamped_steps: Annotated[int, Field(ge=1, le=100)] = 5
@@ -148,6 +158,7 @@ class RecipeSection(Section):
         success_depth_m: how far below the surface the peg's bottom must be.
         retract: whether the tool moves up at the end of a run; else it stays where the run ended.
         conditions: distributions that a simulated world draws from.
+        allow_lock: modes of the safety lock that its policy may run with.
     """
 
     part: Name
@@ -164,6 +175,7 @@ class RecipeSection(Section):
     success_depth_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 3.0e-3
     retract: bool = True
     conditions: Literal["standard", "easy"] = "standard"
+    allow_lock: Annotated[tuple[Mode, ...], Field(min_length=1)] = ("paper", "peck")
 
 
 class SimSection(Section):

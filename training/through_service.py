@@ -106,6 +106,7 @@ def play(
                         "start_yaw_rad": START_YAW_RAD,
                         "nominal_hole_m": NOMINAL_HOLE_M,
                         "conditions": conditions,
+                        "allow_lock": ["paper", "peck", "sliding", "off"],  # a measurement, not a cell at work
                         "retract": False,  # so that the end of the run can be looked at
                     },
                 }

@@ -228,6 +228,10 @@ class Insertion:
             if not self._estimates:
                 return "the policy goes by the camera's estimate of the hole, and there is none"
             self._hole = np.mean(self._estimates, axis=0)
+            offset = self._hole - plan.nominal_hole
+            if not (np.abs(offset) <= plan.max_hole_offset).all():
+                way = f"{np.round(offset * 1e3, 1).tolist()} mm from the recipe's hole"
+                return f"the camera has the hole {way}, limit {(plan.max_hole_offset * 1e3).tolist()} mm"
         above = self._hole + np.array([0.0, 0.0, plan.hover_m])
         safe_z = max(sample.tcp_position[2], above[2]) + SAFE_RISE_M
         self._waypoints = [

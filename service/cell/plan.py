@@ -26,6 +26,7 @@ class Plan:
         start_position: (3,) where the TCP must stand.
         start_yaw: and how it must be turned; kept during the approach.
         nominal_hole: (3,) where the hole is without any camera.
+        max_hole_offset: (3,) farthest that the camera's estimate may be from there.
         uses_estimate: whether the approach and the depth go by the camera.
         hover_m: height above the hole at which the approach ends.
         approach_speed_m_s: of scripted moves.
@@ -49,6 +50,7 @@ class Plan:
     start_position: FloatArray
     start_yaw: float
     nominal_hole: FloatArray
+    max_hole_offset: FloatArray
     uses_estimate: bool
     hover_m: float
     approach_speed_m_s: float
@@ -79,6 +81,7 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         start_position=np.array(recipe.start_position_m),
         start_yaw=recipe.start_yaw_rad,
         nominal_hole=np.array(recipe.nominal_hole_m),
+        max_hole_offset=np.array(limits.max_hole_offset_m),
         uses_estimate=contract.mode != "FTM",
         hover_m=recipe.hover_m,
         approach_speed_m_s=recipe.approach_speed_m_s,

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
-from service.config import RecipeSection
+from service.config import LimitsSection, RecipeSection
 from service.policy.contract import CellCapabilities
 from service.policy.model import SIZE_LIMIT_BYTES, Policy, PolicyError
 
@@ -21,14 +21,14 @@ class PolicyShelf:
     Args:
         recipes: by name.
         tick_s: of the cell.
-        max_stiffness: (6) that its control program runs.
+        limits: of the cell.
     """
 
     def __init__(
         self,
         recipes: Mapping[str, RecipeSection],
         tick_s: float,
-        max_stiffness: tuple[float, float, float, float, float, float],
+        limits: LimitsSection,
     ) -> None:
         self._loaded: dict[str, Policy | PolicyRefusedError] = {}
         self._paths: dict[str, Path] = {}
@@ -41,7 +41,11 @@ class PolicyShelf:
                 camera=True,
                 force_torque=True,
                 last_joint=True,
-                stiffness_max=max_stiffness,
+                stiffness_max=limits.max_stiffness,
+                damping_min=limits.min_damping,
+                inertia_min=limits.min_inertia,
+                locks=recipe.allow_lock,
+                press_max_m=limits.max_press_m,
             )
             self._loaded[name] = _load(recipe, offered)
 

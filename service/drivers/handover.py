@@ -15,15 +15,16 @@ CAPACITY = 64
 class Handover:
     """A bounded queue of samples with one writer and one reader.
 
-    When it is full the oldest sample goes. Of those dropped, the one with the largest force is kept and comes out
-    first: a peak that falls into an overload still meets the ceiling.
+    When it is full the oldest sample goes. Of those dropped, the ones with the largest force and with the largest
+    torque are kept and come out first: a peak that falls into an overload still meets its ceiling.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
         self._lock = threading.Lock()
         self._samples: deque[Sample] = deque()
         self._capacity = capacity
-        self._worst_dropped: Sample | None = None
+        self._worst_force: Sample | None = None
+        self._worst_torque: Sample | None = None
         self._fault: tuple[FaultCode, str] | None = None
         self._announced = False
         self.dropped = 0
@@ -45,12 +46,11 @@ class Handover:
     def take(self) -> tuple[list[Sample], tuple[FaultCode, str] | None]:
         """Take out everything, in order of arrival."""
         with self._lock:
-            samples = list(self._samples)
-            if self._worst_dropped is not None:
-                samples.insert(0, self._worst_dropped)
+            dropped = {one.seq: one for one in (self._worst_force, self._worst_torque) if one is not None}
+            samples = [dropped[seq] for seq in sorted(dropped)] + list(self._samples)
             fault, self._fault = self._fault, None
             self._samples.clear()
-            self._worst_dropped = None
+            self._worst_force = self._worst_torque = None
             self._announced = False
             return samples, fault
 
@@ -60,11 +60,16 @@ class Handover:
 
     def _drop(self, sample: Sample) -> None:
         self.dropped += 1
-        if self._worst_dropped is None or _severity(sample) > _severity(self._worst_dropped):
-            self._worst_dropped = sample
+        if self._worst_force is None or _severity(sample, 0) > _severity(self._worst_force, 0):
+            self._worst_force = sample
+        if self._worst_torque is None or _severity(sample, 3) > _severity(self._worst_torque, 3):
+            self._worst_torque = sample
 
 
-def _severity(sample: Sample) -> float:
-    """How much the monitor must see this sample: its force, infinite where it is not a number or saturated."""
-    force = float(np.linalg.norm(sample.wrench[:3]))
-    return force if np.isfinite(force) and not sample.saturated else float("inf")
+def _severity(sample: Sample, first: int) -> float:
+    """How much the monitor must see this sample: its force (`first` 0) or torque (3), N or N·m.
+
+    Infinite where it is not a number or saturated.
+    """
+    usable = not sample.saturated and bool(np.isfinite(sample.wrench).all())
+    return float(np.linalg.norm(sample.wrench[first : first + 3])) if usable else float("inf")

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, m
 
 from service.policy.action import COMPONENTS, ActionMap
 from service.policy.observation import ENTRIES, Frame, Mode, Need, ObservationBuilder
+from service.safety import dsl
 from service.safety.dsl import DslParameters
 
 METADATA_KEY = "dsl_assembly_contract"
@@ -153,6 +154,10 @@ class CellCapabilities:
         force_torque: it has a force/torque sensor.
         last_joint: it reports joint angles.
         stiffness_max: largest stiffness that its law runs, N/m and N·m/rad.
+        damping_min: least damping, N·s/m and N·m·s/rad.
+        inertia_min: least inertia, kg and kg·m².
+        locks: modes of the lock that it runs.
+        press_max_m: farthest that the lock may press below the height of a contact, m.
     """
 
     tick_s: float
@@ -162,6 +167,10 @@ class CellCapabilities:
     force_torque: bool
     last_joint: bool
     stiffness_max: tuple[float, float, float, float, float, float]
+    damping_min: tuple[float, float, float, float, float, float] = (0.0,) * 6
+    inertia_min: tuple[float, float, float, float, float, float] = (0.0,) * 6
+    locks: tuple[dsl.Mode, ...] = ("paper", "peck")
+    press_max_m: float = 5e-3
 
 
 class PolicyContract(Section):
@@ -313,6 +322,22 @@ class PolicyContract(Section):
                     reasons.append(f"observation entry {entry.name!r} needs {thing}, which the cell does not have")
         if self.dsl.mode != "off" and not cell.force_torque:
             reasons.append(f"the safety lock in mode {self.dsl.mode!r} needs a force/torque sensor")
+        if self.dsl.mode not in cell.locks:
+            reasons.append(
+                f"the safety lock is in mode {self.dsl.mode!r}, this recipe runs {', '.join(cell.locks)}: "
+                "allow_lock of the recipe says which"
+            )
+        if self.dsl.press_m > cell.press_max_m:
+            reasons.append(
+                f"dsl.press_m is {self.dsl.press_m * 1e3:g} mm, the cell presses at most {cell.press_max_m * 1e3:g} mm"
+            )
+        for name, wanted, least in (
+            ("damping", self.compliance.damping, cell.damping_min),
+            ("inertia", self.compliance.inertia, cell.inertia_min),
+        ):
+            for axis, (want, limit) in enumerate(zip(wanted, least, strict=True)):
+                if want < limit:
+                    reasons.append(f"compliance.{name}[{axis}] is {want:g}, the cell runs at least {limit:g}")
         for axis, (want, most) in enumerate(zip(self.compliance.stiffness, cell.stiffness_max, strict=True)):
             if want > most:
                 reasons.append(f"compliance.stiffness[{axis}] is {want:g}, the cell runs at most {most:g}")

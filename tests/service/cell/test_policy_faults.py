@@ -1,6 +1,7 @@
 """Faults of the policy, in its file and in its answers: rows 24 to 29."""
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,11 @@ from service.cell.inference import ThreadInference
 from service.faults import FaultCode
 from service.messages import CellState, RunState
 from service.policy.model import Policy
+from service.safety.dsl import DslParameters
 from service.testing import cell_config, lockstep_cell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyCell
+from training.design import LAW
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -122,3 +125,39 @@ async def test_28_a_policy_replaced_on_disk_runs_on_and_is_refused_next_time(
         with pytest.raises(AssertionError, match=r"POLICY_REFUSED.*was replaced"):
             await faulty.bench.start()
         assert faulty.bench.cell.state is CellState.READY
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"dsl": DslParameters(mode="off")}, "mode 'off', this recipe runs paper, peck"),
+        ({"dsl": DslParameters(mode="sliding")}, "mode 'sliding', this recipe runs paper, peck"),
+        ({"dsl": DslParameters(mode="paper", press_m=1.0)}, "presses at most 5 mm"),
+        ({"compliance": LAW.model_copy(update={"damping": (1.0,) * 6})}, r"compliance.damping\[0\] is 1"),
+        ({"compliance": LAW.model_copy(update={"inertia": (1e-3,) * 6})}, r"compliance.inertia\[0\] is 0.001"),
+    ],
+)
+async def test_a_contract_without_its_guards_is_refused(tmp_path: Path, changes: dict, reason: str) -> None:
+    async with lockstep_cell(cell_config(tmp_path / "state", policies.still(tmp_path, **changes))) as bench:
+        with pytest.raises(AssertionError, match=f"POLICY_REFUSED.*{reason}"):
+            await bench.start()
+        assert bench.cell.state is CellState.READY
+
+
+async def test_a_recipe_that_allows_it_runs_without_the_lock(tmp_path: Path) -> None:
+    policy = policies.still(tmp_path, dsl=DslParameters(mode="off"))
+    config = cell_config(tmp_path / "state", policy, allow_lock=("off",), max_steps=2, conditions="easy")
+    async with lockstep_cell(config) as bench:
+        assert (await bench.insert(EASY)).steps == 2
+
+
+async def test_a_hole_that_the_camera_has_far_from_the_recipes_fails_the_run_unmoved_bounds(
+    faulty_cell: FaultyCell,
+) -> None:
+    async with faulty_cell() as faulty:
+        wrong = np.array([0.09, 0.0, 0.0])
+        faulty.driver.spoil = lambda sample: [replace(sample, hole_estimate=sample.hole_estimate + wrong)]
+        run = await faulty.bench.insert(EASY)
+        assert (run.state, run.code) == (RunState.FAILED, FaultCode.BOUNDS)
+        assert "from the recipe's hole" in run.text
+        assert faulty.driver.said("engage") == []
