@@ -30,6 +30,7 @@ MIN_PROTECTIVE_STOP_S = 5.0
 """An unlock is refused earlier than this, as on a UR controller."""
 
 _STEP = kinematics.JOINT_SPEED_RAD_S * TICK_S
+_NOT_SATURATED = np.bool_(False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +185,14 @@ class ArmController:
         )
         self.program[cells[ready]] = Program.IDLE
 
-    def update(self, joints: Array, wrench: Array, position: Array, orientation: Array) -> Array:
+    def update(
+        self,
+        joints: Array,
+        wrench: Array,
+        position: Array,
+        orientation: Array,
+        saturated: npt.NDArray[np.bool_] | np.bool_ = _NOT_SATURATED,
+    ) -> Array:
         """Run one tick.
 
         Args:
@@ -192,12 +200,13 @@ class ArmController:
             wrench: (n, 6) compensated, at the TCP, base axes, as the sensor gave it.
             position: (n, 3) measured TCP.
             orientation: (n, 4) quaternion of the measured TCP.
+            saturated: (n,) whose sensor is at the end of its range: its true load counts as above the ceiling.
 
         Returns:
             (n, 6) set-points for the joint servos, rad, with the lead and sag that make the arm follow closely.
         """
         self._release_pending()
-        self._watch(joints, wrench, position, orientation)
+        wrench = self._watch(joints, wrench, position, orientation, saturated)
         engaged = self.program == Program.ENGAGED
         if engaged.all():
             advance(self.law, self.reference, self.target_position, self.target_quaternion, wrench)
@@ -225,12 +234,21 @@ class ArmController:
             self.target_quaternion[due] = self._pending_quaternion[due]
         self._pending -= self._pending >= 0
 
-    def _watch(self, joints: Array, wrench: Array, position: Array, orientation: Array) -> None:
+    def _watch(
+        self,
+        joints: Array,
+        wrench: Array,
+        position: Array,
+        orientation: Array,
+        saturated: npt.NDArray[np.bool_] | np.bool_,
+    ) -> Array:
+        """Stop what must be stopped; return the wrench to go by, zero where it is not a number."""
         force = np.sqrt((wrench[:, :3] ** 2).sum(1))
         np.fmax(self.peak_force, force, out=self.peak_force)
         self._age += 1
         self._halted += 1
-        over, old = force >= self._ceiling, self._age > self._max_age
+        known = np.isfinite(wrench.sum(1))
+        over, old = (force >= self._ceiling) | ~known | saturated, self._age > self._max_age
         lagging = (np.abs(joints - self.joints) > PROTECTIVE_ERROR_RAD).any(1) | (force >= PROTECTIVE_FORCE_N)
         if over.any() or old.any():
             self.stop(np.flatnonzero(over), StopReason.FORCE_CEILING)
@@ -243,6 +261,7 @@ class ArmController:
         if lagging.any():
             self._protect(np.flatnonzero(lagging), StopReason.PROTECTIVE_FORCE)
             self.joints[lagging] = joints[lagging]
+        return wrench if known.all() else np.where(known[:, None], wrench, 0.0)
 
     def _brake(self, racing: npt.NDArray[np.bool_], rates: Array) -> None:
         """A joint faster than it can turn: what a singularity that comes near shows first."""

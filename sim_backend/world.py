@@ -165,7 +165,9 @@ class World:
 
     def tick(self) -> None:
         """Advance every cell by one tick of 2 ms."""
-        self._ctrl[:] = self.arm.update(self.joints, self.sensor.wrench, self.position, self._orientation)
+        self._ctrl[:] = self.arm.update(
+            self.joints, self.sensor.wrench, self.position, self._orientation, self.sensor.saturated
+        )
         self._batch.step()
         self.ticks += 1
         self._measure()

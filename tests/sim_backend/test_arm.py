@@ -331,3 +331,21 @@ def test_arms_placed_at_different_times_keep_their_own_time():
             bench.arm.set_target(bench.cells[-1:], START[None] + [[0.004 * k, 0, -0.003 * k]], DOWN)
             bench.run(33)
     assert (pair.joints[1] == alone.joints[0]).all()
+
+
+@pytest.mark.parametrize("channel", range(6))
+def test_a_load_that_is_no_number_stops_the_program_and_the_arm_stays_a_number(channel):
+    bench = Bench()
+    bench.run(5)
+    bench.wrench[0, channel] = np.nan
+    bench.run(100)
+    assert bench.state == (Program.IDLE, StopReason.FORCE_CEILING)
+    assert np.isfinite(bench.joints).all()
+    assert bench.position[0] == pytest.approx(START, abs=1e-4)
+
+
+def test_a_saturated_sensor_stops_the_program_of_its_own_arm_only():
+    bench = Bench(n=2)
+    bench.arm.update(bench.joints, bench.wrench, bench.position, bench.orientation, np.array([True, False]))
+    assert bench.arm.program.tolist() == [Program.STOPPING, Program.ENGAGED]
+    assert bench.state[1] is StopReason.FORCE_CEILING
