@@ -256,7 +256,7 @@ class Insertion:
 
     def _approach(self, sample: Sample) -> Iterator[Order]:
         if (sample.seq - self._stage_seq) % APPROACH_TICKS == 0:
-            yield self._move(self._path.advance(), self._plan.start_yaw)
+            yield self._move(self._advance_path(sample), self._plan.start_yaw)
         match self._path.progress(sample):
             case Progress.ARRIVED:
                 self._go(Stage.INSERTING, sample)
@@ -283,7 +283,7 @@ class Insertion:
 
     def _retract(self, sample: Sample) -> Iterator[Order]:
         if (sample.seq - self._stage_seq) % APPROACH_TICKS == 0:
-            yield self._move(self._path.advance(), self._target_yaw)
+            yield self._move(self._advance_path(sample), self._target_yaw)
         # A peg that sticks is the next operator's to see: the end is a standstill in either case.
         if self._path.progress(sample) is not Progress.UNDER_WAY:
             self._stage = Stage.ENDED
@@ -412,6 +412,9 @@ class Insertion:
     def _plan_path(self, waypoints: list[FloatArray], sample: Sample) -> StraightPath:
         period_s = APPROACH_TICKS * self._plan.tick_s
         return StraightPath.plan(self._target, waypoints, self._plan.approach_speed_m_s, period_s, sample.time_s)
+
+    def _advance_path(self, sample: Sample) -> FloatArray:
+        return self._path.advance(sample.tcp_position, self._plan.bounds.leash_m)
 
     def _move(self, position: FloatArray, yaw: float) -> Move:
         self._target, self._target_yaw = position, yaw

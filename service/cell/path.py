@@ -1,4 +1,4 @@
-"""A scripted straight move: targets along a polyline at a limited speed, until the arm has arrived."""
+"""A scripted straight move: targets along a polyline at a limited speed and lead, until the arm has arrived."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ ARRIVAL_M = 5e-3
 """Distance of the measured TCP from the end that counts as there; a compliant arm on a biased sensor stands off."""
 ARRIVAL_SPEED_M_S = 5e-3
 PATIENCE_S = 3.0
-"""Time beyond the path's own length over speed in which the arm must arrive."""
+"""Time beyond twice the path's length over speed in which the arm must arrive; at its leash the target waits for it."""
 
 
 class Progress(StrEnum):
@@ -56,11 +56,24 @@ class StraightPath:
         """
         corners = [start, *waypoints]
         length = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(corners))
-        deadline = now_s + length / speed_m_s + PATIENCE_S
+        deadline = now_s + 2.0 * length / speed_m_s + PATIENCE_S
         return cls(start.copy(), [point.copy() for point in waypoints], speed_m_s * period_s, deadline)
 
-    def advance(self) -> FloatArray:
-        """Move the target on by one step; return it, (3,) m."""
+    def advance(self, measured: FloatArray, leash_m: float) -> FloatArray:
+        """Move the target on by one step, unless it would lead the arm by more than the leash; return it, (3,) m.
+
+        Args:
+            measured: (3,) m, TCP.
+            leash_m: farthest that the target may lead.
+        """
+        before = self.target, list(self.waypoints)
+        lead = float(np.linalg.norm(self.target - measured))
+        self._step()
+        if float(np.linalg.norm(self.target - measured)) > max(leash_m, lead):
+            self.target, self.waypoints = before
+        return self.target
+
+    def _step(self) -> None:
         left = self.step_m
         while self.waypoints and left > 0.0:
             way = self.waypoints[0] - self.target
@@ -74,7 +87,6 @@ class StraightPath:
                 break
             left -= distance
             self.waypoints.pop(0)
-        return self.target
 
     def progress(self, sample: Sample) -> Progress:
         """Judge by measurement."""

@@ -167,8 +167,8 @@ class CellCapabilities:
     force_torque: bool
     last_joint: bool
     stiffness_max: tuple[float, float, float, float, float, float]
-    damping_min: tuple[float, float, float, float, float, float] = (0.0,) * 6
-    inertia_min: tuple[float, float, float, float, float, float] = (0.0,) * 6
+    damping_min: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    inertia_min: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     locks: tuple[dsl.Mode, ...] = ("paper", "peck")
     press_max_m: float = 5e-3
 

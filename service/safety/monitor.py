@@ -13,7 +13,6 @@ from service.faults import FaultCode
 from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 from service.safety.verdict import IGNORED, PASSED, Verdict
 
-
 PLAUSIBLE = 1e6
 """N, N·m, m, rad and their rates: no cell measures more, and what is more overflows where it is squared."""
 STANDING_STAMPS = 3
@@ -160,7 +159,7 @@ class Monitor:
         # A sum is finite only if every term is, and only then do min and max mean anything
         if not (isfinite(fx + fy + fz + tx + ty + tz) and max(map(abs, (fx, fy, fz, tx, ty, tz))) <= PLAUSIBLE):
             return Verdict(FaultCode.SENSOR_INVALID, text=f"wrench is not finite or not plausible: {wrench.tolist()}")
-        moved = motion.ravel().tolist()
+        moved: list[float] = motion.ravel().tolist()
         if not (isfinite(time_s) and isfinite(sum(moved)) and max(map(abs, moved), default=0.0) <= PLAUSIBLE):
             return Verdict(
                 FaultCode.SENSOR_INVALID, text="a pose, velocity or time stamp is not finite or not plausible"

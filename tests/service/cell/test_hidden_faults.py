@@ -15,8 +15,9 @@ import pytest
 from service.cell import watch
 from service.cell.inference import InlineInference, OnAction, OnFailure
 from service.cell.journal import Journal
+from service.cell.path import StraightPath
 from service.cell.records import TickRecord
-from service.drivers.base import Driver, DriverError, Program, SampleSink, Setup
+from service.drivers.base import Driver, DriverError, PoseTarget, Program, SampleSink, Setup
 from service.faults import FaultCode
 from service.messages import (
     CellState,
@@ -369,3 +370,31 @@ async def test_a_start_that_the_disk_refused_leaves_no_run_behind(faulty_cell: F
     journal = Journal(faulty.state_dir, lambda: 0.0)
     assert [run.id for run in journal.ledger.newest(10)] == [accepted.run.id]
     journal.close(5.0)
+
+
+async def test_no_target_leads_the_arm_by_more_than_its_leash_scripted_or_not(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        driver, cell = faulty.driver, faulty.bench.cell
+        leads: dict[CellState, float] = {}
+        send = driver.send_target
+
+        def note(target: PoseTarget) -> int:
+            lead = float(np.linalg.norm(target.position - driver.truth.tcp_position))
+            leads[cell.state] = max(lead, leads.get(cell.state, 0.0))
+            return send(target)
+
+        driver.send_target = note
+        run = await faulty.bench.insert(EASY)
+        assert run.state is RunState.SUCCEEDED
+        assert set(leads) == {CellState.APPROACH, CellState.RUNNING, CellState.RETRACT}
+        assert max(leads.values()) <= cell.config.limits.max_step_m + 1e-12, leads
+
+
+async def test_a_target_waits_for_an_arm_that_does_not_come_along() -> None:
+    path = StraightPath.plan(np.zeros(3), [np.array([0.0, 0.0, 0.1])], 0.1, 0.01, 0.0)
+    stuck = np.zeros(3)
+    for _ in range(50):
+        target = path.advance(stuck, 0.012)
+    assert 0.010 < target[2] <= 0.012
+    on = path.advance(np.array([0.0, 0.0, 0.005]), 0.012)
+    assert on[2] == pytest.approx(target[2] + path.step_m), "and goes on when it does"
