@@ -157,7 +157,10 @@ class Monitor:
 
         fx, fy, fz, tx, ty, tz = wrench.tolist()
         # A sum is finite only if every term is, and only then do min and max mean anything
-        if not (isfinite(fx + fy + fz + tx + ty + tz) and max(map(abs, (fx, fy, fz, tx, ty, tz))) <= PLAUSIBLE):
+        if not (
+            isfinite(fx + fy + fz + tx + ty + tz)
+            and max(abs(fx), abs(fy), abs(fz), abs(tx), abs(ty), abs(tz)) <= PLAUSIBLE
+        ):
             return Verdict(FaultCode.SENSOR_INVALID, text=f"wrench is not finite or not plausible: {wrench.tolist()}")
         moved: list[float] = motion.ravel().tolist()
         if not (isfinite(time_s) and isfinite(sum(moved)) and max(map(abs, moved), default=0.0) <= PLAUSIBLE):
