@@ -9,6 +9,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3)
 VENV ?= .venv
 PORT ?= 8000
 ONCE ?=
+SEED ?=
 MODEL ?= models/triangle-vftm.onnx
 BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.installed-runtime
@@ -53,8 +54,8 @@ setup-dev: $(DEV) ## prepare .venv for everything
 # --- the cell -------------------------------------------------------------------------------------------------------
 
 .PHONY: run
-run: $(RUNTIME) ## start the simulated cell and insert one peg (ONCE=1: then exit; PORT=8000)
-	@exec $(BIN)/python -m api.demo --port $(PORT) $(if $(ONCE),--once)
+run: $(RUNTIME) ## start the simulated cell and insert one peg (ONCE=1: then exit; PORT=8000; SEED=3)
+	@exec $(BIN)/python -m api.demo --port $(PORT) $(if $(ONCE),--once) $(if $(SEED),--seed $(SEED))
 
 # --- checks ---------------------------------------------------------------------------------------------------------
 

@@ -29,6 +29,8 @@ from service.config import DEFAULT_PATH, PATH_VARIABLE, CellConfig, ConfigError,
 
 READY_S = 60.0
 RUN_S = 180.0
+DEFAULT_SEED = 3
+"""The world of the picture in the README, so that a first look is the same for everyone."""
 END_S = 20.0
 EXIT_USAGE = 2
 MARKS = {"SUCCEEDED": "green", "ACTIVE": "blue"}
@@ -48,7 +50,7 @@ def demo(
         int | None, typer.Option(min=1, max=65535, help="Port of the page; else the configured one.")
     ] = None,
     recipe: Annotated[str | None, typer.Option(help="Recipe to start; else the first one configured.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the simulated world; else one is drawn.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the simulated world.")] = DEFAULT_SEED,
 ) -> None:
     """Start the cell, insert one peg, stay up until Ctrl-C."""
     try:
@@ -60,7 +62,7 @@ def demo(
     raise typer.Exit(code)
 
 
-def _demonstrate(*, once: bool, port: int | None, recipe: str | None, seed: int | None) -> int:
+def _demonstrate(*, once: bool, port: int | None, recipe: str | None, seed: int) -> int:
     path = Path(os.environ.get(PATH_VARIABLE, DEFAULT_PATH)).resolve()
     config = load(path)
     port = config.api.port if port is None else port
@@ -170,9 +172,9 @@ def _wait_ready(server: subprocess.Popen[bytes], http: httpx.Client, log: Path, 
     raise DemoError(f"the cell is not ready after {READY_S:.0f} s. {said}")
 
 
-def _insert(server: subprocess.Popen[bytes], http: httpx.Client, recipe: str, seed: int | None) -> dict[str, Any]:
+def _insert(server: subprocess.Popen[bytes], http: httpx.Client, recipe: str, seed: int) -> dict[str, Any]:
     """Press start and follow the run to its end."""
-    body = {"recipe": recipe} | ({} if seed is None else {"seed": seed})
+    body = {"recipe": recipe, "seed": seed}
     key = f"demo-{os.getpid()}-{time.time_ns()}"
     response = http.post("/start", json=body, headers={"Idempotency-Key": key})
     if response.status_code != HTTPStatus.ACCEPTED:

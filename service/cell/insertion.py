@@ -399,6 +399,8 @@ class Insertion:
             self._ended_s = None if sample is None else sample.time_s
             yield Disengage()
             return
+        # from where the peg is, not from where it was pressed to: a peg that is twisted in its hole does not come out
+        self._target, self._target_yaw = sample.tcp_position, float(yaw_and_tilt(sample.tcp_rotvec)[0])
         top = min(self._hole[2] + self._plan.hover_m, self._plan.limits.workspace[1, 2])
         height = max(float(top), float(self._target[2]))
         self._path = self._plan_path([np.array([*self._target[:2], height])], sample)
