@@ -11,9 +11,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
-from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
+from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM, LockMode
 from service.messages import NAME_PATTERN
-from service.safety.dsl import Mode
 
 PATH_VARIABLE = "DSL_ASSEMBLY_CONFIG"
 DEFAULT_PATH = Path("config/cell.toml")
@@ -175,7 +174,7 @@ class RecipeSection(Section):
     success_depth_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 3.0e-3
     retract: bool = True
     conditions: Literal["standard", "easy"] = "standard"
-    allow_lock: Annotated[tuple[Mode, ...], Field(min_length=1)] = ("paper", "peck")
+    allow_lock: Annotated[tuple[LockMode, ...], Field(min_length=1)] = ("paper", "peck")
 
 
 class SimSection(Section):

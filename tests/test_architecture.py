@@ -100,7 +100,8 @@ def test_no_file_or_folder_is_a_junk_drawer() -> None:
 
 
 LONG_FOR_A_REASON = {
-    "service/cell/cell.py": 500,  # the order in which monitor, stop, latch and run act on one sample stands in one place
+    # the order in which monitor, stop, latch and run act on one sample stands in one place
+    "service/cell/cell.py": 500,
 }
 
 

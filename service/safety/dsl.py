@@ -12,15 +12,17 @@ after; nothing here looks, because this also runs over thousands of simulated ce
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from math import inf
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from service.hard_limits import LockMode
+
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int32]
 BoolArray = npt.NDArray[np.bool_]
-Mode = Literal["paper", "peck", "sliding", "off"]
+Mode = LockMode
 
 
 class Phase(IntEnum):
