@@ -53,6 +53,7 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulated world.")] = DEFAULT_SEED,
 ) -> None:
     """Start the cell, insert one peg, stay up until Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
     try:
         code = _demonstrate(once=once, port=port, recipe=recipe, seed=seed)
     except (DemoError, ConfigError) as error:

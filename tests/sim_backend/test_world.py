@@ -334,7 +334,7 @@ def test_a_stop_brings_the_measured_arm_to_rest_and_it_stays():
     assert np.abs(world.twist).max() < 1e-3
 
 
-def test_a_blocked_arm_trips_its_protective_stop():
+def test_a_blocked_arm_stops_at_the_end_of_its_sensors_range_whatever_its_ceiling():
     deaf = dataclasses.replace(FREE, force_ceiling_n=1e4)
     world = prepare(1, above=0.002, yaw=0.5, offset=(0.045, 0.0), limits=deaf)
     stiff = np.array([1e5, 1e5, 1e5, 500.0, 500.0, 500.0])
@@ -344,8 +344,10 @@ def test_a_blocked_arm_trips_its_protective_stop():
             break
         world.arm.set_target(np.array([0]), world.arm.target_position - [0, 0, 1e-3], world.arm.target_quaternion)
         hold(world, 10)
-    assert world.arm.program[0] == Program.PROTECTIVE_STOP
-    assert world.arm.stop_reason[0] == StopReason.PROTECTIVE_FORCE
+    assert world.arm.stop_reason[0] == StopReason.FORCE_CEILING
+    hold(world, 100)
+    assert world.arm.program[0] == Program.IDLE
+    assert np.abs(world.twist).max() < 1e-3
 
 
 def test_the_estimate_is_off_by_the_episodes_error_and_flickers_once_per_frame():
