@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.faults import FaultCode
-from service.safety.preflight import PreflightParameters, check_start_pose, check_wrench
+from service.safety.preflight import PreflightParameters, check_start_pose, check_unzeroed, check_wrench
 
 LIMITS = PreflightParameters(
     window_samples=50,
@@ -98,3 +98,23 @@ def test_a_pose_that_is_not_finite_may_not_start() -> None:
 def test_limits_that_check_nothing_are_refused_by_name(field: str, value: float) -> None:
     with pytest.raises(ValueError, match=field):
         replace(LIMITS, **{field: value})
+
+
+def test_a_biased_sensor_on_a_free_tool_may_be_zeroed() -> None:
+    assert check_unzeroed(LIMITS, free_air() + [4.0, -4.0, 4.0, 0.5, 0.5, 0.2]).fault is None
+
+
+@pytest.mark.parametrize(("channel", "load"), [(0, 20.0), (2, -22.0), (4, 3.0)])
+def test_a_tool_that_is_loaded_before_zeroing_is_not_zeroed_into_free_air(channel: int, load: float) -> None:
+    window = free_air()
+    window[:, channel] += load
+    verdict = check_unzeroed(LIMITS, window)
+    assert verdict.fault is FaultCode.CONTACT_AT_START
+    assert verdict.measured == pytest.approx(abs(load), rel=0.1)
+    assert ("N·m" if channel > 2 else "N before") in verdict.text
+
+
+def test_a_load_that_is_no_number_is_not_zeroed() -> None:
+    window = free_air()
+    window[3, 1] = np.nan
+    assert check_unzeroed(LIMITS, window).fault is FaultCode.CONTACT_AT_START
