@@ -101,7 +101,7 @@ def test_limits_that_check_nothing_are_refused_by_name(field: str, value: float)
 
 
 def test_a_biased_sensor_on_a_free_tool_may_be_zeroed() -> None:
-    assert check_unzeroed(LIMITS, free_air() + [4.0, -4.0, 4.0, 0.5, 0.5, 0.2]).fault is None
+    assert check_unzeroed(LIMITS, free_air() + np.array([4.0, -4.0, 4.0, 0.5, 0.5, 0.2])).fault is None
 
 
 @pytest.mark.parametrize(("channel", "load"), [(0, 20.0), (2, -22.0), (4, 3.0)])
