@@ -1,6 +1,7 @@
 """Command line of the benchmarks: run all or some, print the tables, save them."""
 
 import importlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Protocol, cast
 
@@ -38,6 +39,7 @@ def run(
     taken = machine.conditions()
     console.print(", ".join(f"{name} {value}" for name, value in taken.items()), highlight=False)
     results: dict[str, Result] = {}
+    written: Sequence[Path] = ()
     failed = False
     for name in wanted:
         load = machine.load()
@@ -46,9 +48,10 @@ def run(
         failed |= not ran
         taken[f"load at {name}"] = load
         report.show(console, name, results[name])
-    if not quick:
-        for path in report.save(out, taken, results):
-            console.print(f"wrote {path}", highlight=False)
+        if not quick:  # after each one: a run that is cut short keeps what it has
+            written = report.save(out, taken, results)
+    for path in written:
+        console.print(f"wrote {path}", highlight=False)
     raise typer.Exit(int(failed))
 
 
