@@ -1,0 +1,257 @@
+"""TCP services on one thread: connections with bounded buffers, and the loop that asks them all once per tick.
+
+Nothing here blocks. A client that does not read cannot hold up the tick, nor make the process grow: it is disconnected.
+"""
+
+import contextlib
+import selectors
+import socket
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+DRAIN_TIMEOUT_S = 10.0
+"""A connection whose peer takes none of what waits for it is closed after this, as an e-Series controller does."""
+MAX_PENDING_BYTES = 1 << 20
+"""What may wait for one peer in this process; a connection that would exceed it is closed."""
+MAX_CONNECTIONS = 32
+"""Of one service; further peers are accepted and closed at once, so that they learn it."""
+READ_BYTES = 8192
+"""Read from one connection per poll: a flood is held back by its own TCP window, and the tick keeps its time."""
+
+_SEND_BUFFER_BYTES = 64 * 1024  # small, so that a slow reader falls behind by a fraction of a second only
+_BACKLOG = 16
+_KEEPALIVE = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 5}  # a vanished peer frees what it holds in 20 s
+
+
+class ListenError(OSError):
+    """An address that cannot be listened at; the text names it and says why."""
+
+
+class Connection:
+    """One accepted peer.
+
+    Attributes:
+        peer: its address, `host:port`.
+        is_open: false once either side has closed; the service hears of it through `on_close`.
+        pending: bytes that wait for the peer to read.
+    """
+
+    def __init__(self, peer_socket: socket.socket, peer: str, clock: Callable[[], float]) -> None:
+        self.peer = peer
+        self.is_open = True
+        self._socket = peer_socket
+        self._clock = clock
+        self._buffer = bytearray()
+        self._progress_s = 0.0
+
+    @property
+    def pending(self) -> int:
+        return len(self._buffer)
+
+    @property
+    def host(self) -> str:
+        """Address of the peer without its port."""
+        return self.peer.rsplit(":", 1)[0]
+
+    def send(self, data: bytes) -> None:
+        """Send, or keep for later what the peer does not take now; does nothing once closed.
+
+        More than `MAX_PENDING_BYTES` waiting closes the connection. A stream of states is better skipped than queued:
+        look at `pending` first.
+        """
+        if not self.is_open:
+            return
+        if self._buffer:
+            if len(self._buffer) + len(data) > MAX_PENDING_BYTES:
+                self.close()
+            else:
+                self._buffer += data
+            return
+        sent = self._send(data)
+        if sent < len(data):
+            self._progress_s = self._clock()
+            self._buffer += data[sent:]
+
+    def close(self) -> None:
+        """Close when the present round of the loop is over. What `send` has handed to the network still arrives."""
+        self.is_open = False
+
+    def flush(self) -> None:
+        """Send what waits; closes where the peer has taken nothing for `DRAIN_TIMEOUT_S`."""
+        sent = self._send(self._buffer)
+        if sent:
+            del self._buffer[:sent]
+            self._progress_s = self._clock()
+        elif self._clock() - self._progress_s > DRAIN_TIMEOUT_S:
+            self.close()
+
+    def read(self) -> bytes:
+        """What has arrived, at most `READ_BYTES`; empty, and closed, when the peer has gone."""
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except (BlockingIOError, InterruptedError):
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self.close()
+        return data
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def shut(self) -> None:
+        """Release the socket."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_WR)
+        self._socket.close()
+
+    def _send(self, data: bytes | bytearray) -> int:
+        try:
+            return self._socket.send(data)
+        except (BlockingIOError, InterruptedError):
+            return 0
+        except OSError:
+            self.close()
+            return 0
+
+
+class Service(Protocol):
+    """What a TCP service does; every method runs on the thread of the loop and must return within a fraction of a tick.
+
+    A method that raises ends the controller: what a peer can get wrong is the service's to handle, with `send` or
+    `close`. A connection closed within one of these methods is reported to `on_close` after it has returned.
+    """
+
+    def on_connect(self, connection: Connection) -> None:
+        """A peer has connected."""
+        ...
+
+    def on_data(self, connection: Connection, data: bytes) -> None:
+        """Bytes have arrived, cut anywhere; never empty."""
+        ...
+
+    def on_close(self, connection: Connection) -> None:
+        """A connection has ended, by whichever side; called once."""
+        ...
+
+    def publish(self) -> None:
+        """A tick has passed."""
+        ...
+
+
+class _Port:
+    """A listening socket and the connections of its service."""
+
+    def __init__(self, listening: socket.socket, service: Service) -> None:
+        self.listening = listening
+        self.service = service
+        self.connections: list[Connection] = []
+
+
+class Listener:
+    """Serves any number of services from the thread that calls `poll` and `publish`."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """Start with no service.
+
+        Args:
+            clock: monotonic time, s, for `DRAIN_TIMEOUT_S`.
+        """
+        self._clock = clock
+        self._selector = selectors.DefaultSelector()
+        self._ports: list[_Port] = []
+
+    def serve(self, service: Service, host: str, port: int) -> int:
+        """Listen for a service.
+
+        Args:
+            service: hears of connections and ticks from now on.
+            host: address or name of this machine.
+            port: 0 for a free one.
+
+        Returns:
+            The port that is listened at.
+
+        Raises:
+            ListenError: the address is taken, or not of this machine.
+        """
+        listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)  # accepted ones inherit it
+            listening.bind((host, port))
+            listening.listen(_BACKLOG)
+        except OSError as error:
+            listening.close()
+            raise ListenError(f"cannot listen at {host}:{port}: {error.strerror or error}") from error
+        listening.setblocking(False)
+        entry = _Port(listening, service)
+        self._ports.append(entry)
+        self._selector.register(listening, selectors.EVENT_READ, entry)
+        return int(listening.getsockname()[1])
+
+    def poll(self) -> None:
+        """Accept, read and hand over everything that has arrived; send what waits; never blocks."""
+        for key, _ in self._selector.select(0):
+            if isinstance(key.data, _Port):
+                self._accept(key.data)
+            else:
+                port, connection = key.data
+                data = connection.read() if connection.is_open else b""
+                if data:
+                    port.service.on_data(connection, data)
+        self._reap(flush=True)
+
+    def publish(self) -> None:
+        """Tell every service that a tick has passed."""
+        for port in self._ports:
+            port.service.publish()
+        self._reap(flush=False)
+
+    def close(self) -> None:
+        """Close every connection and stop listening."""
+        for port in self._ports:
+            for connection in port.connections:
+                connection.close()
+        self._reap(flush=False)
+        for port in self._ports:
+            self._selector.unregister(port.listening)
+            port.listening.close()
+        self._ports.clear()
+        self._selector.close()
+
+    def _accept(self, port: _Port) -> None:
+        try:
+            accepted, address = port.listening.accept()
+        except OSError:  # the peer gave up while it waited
+            return
+        if len(port.connections) >= MAX_CONNECTIONS:
+            accepted.close()
+            return
+        accepted.setblocking(False)
+        accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        accepted.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in _KEEPALIVE.items():
+            if hasattr(socket, name):
+                accepted.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+        connection = Connection(accepted, f"{address[0]}:{address[1]}", self._clock)
+        port.connections.append(connection)
+        data: tuple[_Port, Connection] = (port, connection)
+        self._selector.register(accepted, selectors.EVENT_READ, data)
+        port.service.on_connect(connection)
+
+    def _reap(self, *, flush: bool) -> None:
+        for port in self._ports:
+            gone: list[Connection] = []
+            for connection in port.connections:
+                if flush and connection.pending and connection.is_open:
+                    connection.flush()
+                if not connection.is_open:
+                    gone.append(connection)
+            for connection in gone:
+                port.connections.remove(connection)
+                self._selector.unregister(connection)
+                connection.shut()
+                port.service.on_close(connection)
