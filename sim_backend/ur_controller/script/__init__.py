@@ -1,0 +1,22 @@
+"""URScript: compiled to Python code and run in steps of one tick.
+
+The language is that of UR's script manual for PolyScope 5 (universal-robots.com/manuals, SW5_25_1, prod-scriptmanual).
+Where the manual leaves a question open, the module that has to answer it says how and why.
+"""
+
+from .builtin import REQUIRED, Builtin, Parameter, Table
+from .errors import CompileError, Halt, ScriptRuntimeError
+from .values import Pose, Struct, Value
+
+__all__ = [
+    "REQUIRED",
+    "Builtin",
+    "CompileError",
+    "Halt",
+    "Parameter",
+    "Pose",
+    "ScriptRuntimeError",
+    "Struct",
+    "Table",
+    "Value",
+]

@@ -1,0 +1,155 @@
+"""Values of a script, and how a builtin takes them apart.
+
+An int is an int of 32 bits, a float a float, a string a str, a boolean a bool; a list is a list, a matrix a list of
+lists of equal length, a pose a `Pose` and a struct a `Struct`. A thread handle is an int; 0 is no thread.
+
+No value is ever changed in place: `q[0] = 1` gives the variable a new list. So assigning and passing by value, as the
+language has it, cost nothing. A builtin must not change a list that it was given, nor one that it has returned.
+"""
+
+from typing import Any, TypeAlias, TypeGuard
+
+from .errors import ScriptRuntimeError
+
+Value: TypeAlias = Any
+"""int, float, bool, str, list, `Pose`, `Struct`, or None where a function returned nothing."""
+
+LEAST_INT, LARGEST_INT = -(2**31), 2**31 - 1
+LONGEST_TEXT = 16_384
+LARGEST_LIST = 4_096
+DEEPEST_VALUE = 4
+
+
+class Pose(list[float]):
+    """`p[x, y, z, rx, ry, rz]`: m and rotation vector in rad; compares equal to poses only."""
+
+    __slots__ = ()
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is Pose and list.__eq__(self, other)
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"p{list.__repr__(self)}"
+
+
+class Struct(dict[str, Value]):
+    """`struct(name = value, ...)`, read and written as `s.name`."""
+
+    __slots__ = ()
+
+
+def is_number(value: Value) -> TypeGuard[int | float]:
+    """Whether `value` is an int or a float; a bool is neither."""
+    return type(value) is float or type(value) is int
+
+
+def is_list(value: Value) -> TypeGuard[list[Value]]:
+    """Whether `value` is a list, a matrix or a pose."""
+    return isinstance(value, list)
+
+
+def kind_of(value: Value) -> str:
+    """The type's name as error texts give it."""
+    match value:
+        case None:
+            return "no value"
+        case bool():
+            return "bool"
+        case int():
+            return "int"
+        case float():
+            return "float"
+        case str():
+            return "string"
+        case Pose():
+            return "pose"
+        case Struct():
+            return "struct"
+        case [list(), *_] if not isinstance(value[0], Pose):
+            return "matrix"
+        case _:
+            return "list"
+
+
+def number(value: Value, what: str) -> float:
+    """`value` as a float.
+
+    Raises:
+        ScriptRuntimeError: It is no number; the text names it as `what`.
+    """
+    if type(value) is float:
+        return value
+    if type(value) is int:
+        return float(value)
+    raise ScriptRuntimeError(f"Type error: {what} must be a number, not a {kind_of(value)}")
+
+
+def integer(value: Value, what: str) -> int:
+    """`value` as an int; a float counts when it is whole.
+
+    Raises:
+        ScriptRuntimeError: It is no whole number.
+    """
+    if type(value) is int:
+        return value
+    if type(value) is float and value.is_integer() and LEAST_INT <= value <= LARGEST_INT:
+        return int(value)
+    raise ScriptRuntimeError(f"Type error: {what} must be an int, not {text_of_kind(value)}")
+
+
+def truth(value: Value, what: str) -> bool:
+    """`value` as a condition: a bool, or a number that is not zero.
+
+    Raises:
+        ScriptRuntimeError: It is neither.
+    """
+    if type(value) is bool:
+        return value
+    if is_number(value):
+        return value != 0
+    raise ScriptRuntimeError(f"Type error: {what} must be a bool, not a {kind_of(value)}")
+
+
+def text(value: Value, what: str) -> str:
+    """`value` as a string, which it must be already.
+
+    Raises:
+        ScriptRuntimeError: It is not.
+    """
+    if type(value) is str:
+        return value
+    raise ScriptRuntimeError(f"Type error: {what} must be a string, not a {kind_of(value)}")
+
+
+def vector(value: Value, length: int, what: str) -> list[float]:
+    """`value`, a list or a pose of `length` numbers, as a new list of floats.
+
+    Raises:
+        ScriptRuntimeError: It is no such list.
+    """
+    if is_list(value) and len(value) == length:
+        if all(type(item) is float for item in value):
+            return list(value)
+        return [number(item, f"{what}[{index}]") for index, item in enumerate(value)]
+    raise ScriptRuntimeError(f"Type error: {what} must be a list of {length} numbers, not {text_of_kind(value)}")
+
+
+def pose(value: Value, what: str) -> list[float]:
+    """`value`, which must be a pose, as a new list of 6 floats: m, rad.
+
+    Raises:
+        ScriptRuntimeError: It is no pose, a list of six numbers included.
+    """
+    if type(value) is Pose:
+        return list(value)
+    raise ScriptRuntimeError(f"Type error: {what} must be a pose, not {text_of_kind(value)}")
+
+
+def text_of_kind(value: Value) -> str:
+    """The type and, of a list, its length, for an error text."""
+    return f"a {kind_of(value)}" + (f" of {len(value)}" if is_list(value) else "")
