@@ -15,7 +15,7 @@ MAX_COMMANDS = 1000
 """Largest number of commands in one message."""
 MAX_TASK_BYTES = 4096
 
-_COMMAND_KINDS = tuple(int(kind) for kind in wire.Kind if kind is not wire.Kind.STATE)
+_COMMAND_KINDS = tuple(int(kind) for kind in wire.Kind if kind not in (wire.Kind.STATE, wire.Kind.CAMERA))
 
 
 class RequestError(ValueError):

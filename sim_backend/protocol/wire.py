@@ -1,7 +1,8 @@
 """Fixed-layout, little-endian, versioned messages of the simulated cell.
 
-Two packed records: `STATE`, one per 2 ms tick from the cell, and `COMMAND`, from a client. Every record
-starts with the same eight bytes (magic, version, kind), so a reader refuses what it cannot read before it reads on.
+Packed records: `STATE`, one per 2 ms tick from the cell, `COMMAND`, from a client, and `CAMERA`, from a cell whose arm
+speaks another protocol. Every record starts with the same eight bytes (magic, version, kind), so a reader refuses what
+it cannot read before it reads on.
 Changing a layout means raising `VERSION`. Frames, units and signs are those of `docs/architecture.md`.
 """
 
@@ -33,6 +34,7 @@ class Kind(IntEnum):
     """Take the present raw wrench as the zero, as `zero_ftsensor()` does. Refused while engaged."""
     UNLOCK = 6
     """Leave the protective stop: an operator's action."""
+    CAMERA = 7
 
 
 class Program(IntEnum):
@@ -114,6 +116,18 @@ COMMAND = np.dtype(
     align=False,
 )
 
+CAMERA = np.dtype(
+    [
+        *_HEADER,
+        ("epoch", "<u8"),  # these four as in STATE
+        ("episode", "<u8"),
+        ("seq", "<u8"),
+        ("time_s", "<f8"),  # of the frame, on the clock of the arm's own samples
+        ("position", "<f8", 3),  # centre of the hole's mouth by the camera, base frame, m
+    ],
+    align=False,
+)
+
 
 def new(dtype: np.dtype[Any], kind: Kind) -> npt.NDArray[Any]:
     """Return a zeroed record of `dtype`, shape (1,), with its header filled in."""
@@ -127,7 +141,7 @@ def decode(payload: bytes, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
 
     Args:
         payload: one or more whole records of `dtype`.
-        dtype: `STATE` or `COMMAND`.
+        dtype: `STATE`, `COMMAND` or `CAMERA`.
 
     Returns:
         (n,) read-only array over `payload`.

@@ -14,7 +14,7 @@ from sim_backend.cell import SimulatedCell
 from sim_backend.protocol import wire
 
 CELL = SimulatedCell("tr", epoch=7)
-COMMAND_KINDS = [kind for kind in wire.Kind if kind is not wire.Kind.STATE]
+COMMAND_KINDS = [kind for kind in wire.Kind if kind not in (wire.Kind.STATE, wire.Kind.CAMERA)]
 
 
 def command(kind: wire.Kind, **fields: object) -> np.ndarray:

@@ -28,7 +28,7 @@ def rows(heading: str) -> list[list[str]]:
     return [[cell.strip().strip("`") for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
-@pytest.mark.parametrize(("name", "dtype"), [("STATE", wire.STATE), ("COMMAND", wire.COMMAND)])
+@pytest.mark.parametrize(("name", "dtype"), [("STATE", wire.STATE), ("COMMAND", wire.COMMAND), ("CAMERA", wire.CAMERA)])
 def test_record_tables_give_the_layout(name: str, dtype: np.dtype) -> None:
     def written(field: np.dtype) -> str:
         shape = f"[{'×'.join(map(str, field.shape))}]" if field.shape else ""

@@ -5,7 +5,7 @@ from sim_backend.protocol import wire
 
 
 def test_layouts_are_packed_and_start_with_the_same_header():
-    for dtype in (wire.STATE, wire.COMMAND):
+    for dtype in (wire.STATE, wire.COMMAND, wire.CAMERA):
         assert dtype.names is not None
         assert dtype.names[:3] == ("magic", "version", "kind")
         assert sum(dtype[name].itemsize for name in dtype.names) == dtype.itemsize
