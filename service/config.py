@@ -37,6 +37,7 @@ Position = tuple[Finite, Finite, Finite]
 Box = Annotated[tuple[Position, Position], AfterValidator(_check_box)]
 SixPositive = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
+Port = Annotated[int, Field(ge=1, le=65535)]
 Endpoint = Annotated[str, Field(pattern=r"^(tcp|tls|quic|unixsock-stream)/\S+$")]
 
 
@@ -50,13 +51,13 @@ class CellSection(Section):
     Attributes:
         id: in keys, paths and URLs.
         endpoint: Zenoh endpoint that the control process listens on.
-        driver: `zenoh_sim` reaches a simulated cell over Zenoh.
+        driver: `zenoh_sim` reaches a simulated cell over Zenoh, `ur` an e-Series controller, real or emulated.
         state_dir: latch and ledger.
     """
 
     id: Name
     endpoint: Endpoint = "tcp/127.0.0.1:7447"
-    driver: Literal["zenoh_sim"] = "zenoh_sim"
+    driver: Literal["zenoh_sim", "ur"] = "zenoh_sim"
     state_dir: Path
 
 
@@ -178,12 +179,12 @@ class RecipeSection(Section):
 
 
 class SimSection(Section):
-    """The simulator that `zenoh_sim` talks to.
+    """The simulator that `zenoh_sim` talks to; with an emulated UR controller, its world.
 
     Attributes:
         world: name in its keys.
         endpoint: where it listens.
-        mode: who lets time pass.
+        mode: who lets time pass; an emulated UR controller always runs in real time.
         autostart: whether `python -m service run` starts it and ends it again.
     """
 
@@ -191,6 +192,59 @@ class SimSection(Section):
     endpoint: Endpoint = "tcp/127.0.0.1:7448"
     mode: Literal["real_time", "lockstep"] = "real_time"
     autostart: bool = True
+
+
+class UrSection(Section):
+    """A Universal Robots e-Series controller; `docs/ur.md` says how each number is found.
+
+    Attributes:
+        host: address of the controller.
+        rtde_port: of its real-time data exchange.
+        dashboard_port: of its dashboard server.
+        primary_port: of its primary interface, which takes the control program.
+        simulated: whether it is the emulated controller of this project, whose world is laid out from a seed; `sim`
+            then names that world.
+        payload_kg: mass of all that the flange carries.
+        payload_com_m: its centre, flange axes.
+        tcp_m: pose of the TCP in the flange's frame: m, and a rotation vector in rad.
+        torque_about: the point that the controller's own torque refers to: the flange on the e-Series.
+        force_range_n: end of the sensor's range, per channel of force.
+        torque_range_nm: the same for torque.
+        watchdog_hz: fewer packages of the host per second than this end the control program.
+        stop_retract_m: how far the arm moves up after a stop by force; 0: not at all.
+        prove_watchdog: whether each start lets the watchdog trip once; None: where the controller is simulated.
+        connect_s: time that the controller may take for one answer.
+    """
+
+    host: str
+    rtde_port: Port = 30004
+    dashboard_port: Port = 29999
+    primary_port: Port = 30001
+    simulated: bool = False
+    payload_kg: Annotated[float, Field(ge=0.0, le=50.0, allow_inf_nan=False)]
+    payload_com_m: Position
+    tcp_m: tuple[Finite, Finite, Finite, Finite, Finite, Finite]
+    torque_about: Literal["flange", "tcp"] = "flange"
+    force_range_n: Positive = 30.0
+    torque_range_nm: Positive = 10.0
+    watchdog_hz: Annotated[float, Field(ge=2.0, le=50.0, allow_inf_nan=False)] = 10.0
+    stop_retract_m: Annotated[float, Field(ge=0.0, le=0.02, allow_inf_nan=False)] = 0.0
+    prove_watchdog: bool | None = None
+    connect_s: Annotated[float, Field(ge=0.5, le=30.0, allow_inf_nan=False)] = 3.0
+
+
+class CameraSection(Section):
+    """Where estimates of the hole's position come from, for a driver whose arm does not give them.
+
+    Attributes:
+        endpoint: Zenoh endpoint of their publisher.
+        key: under which it publishes `wire.CAMERA` records.
+        max_age_s: an older estimate is none.
+    """
+
+    endpoint: Endpoint
+    key: Annotated[str, Field(min_length=1, pattern=r"^[^*$#?\s]+$")]
+    max_age_s: Annotated[float, Field(gt=0.0, le=5.0, allow_inf_nan=False)] = 0.2
 
 
 class ApiSection(Section):
@@ -206,7 +260,7 @@ class ApiSection(Section):
     """
 
     host: str = "127.0.0.1"
-    port: Annotated[int, Field(ge=1, le=65535)] = 8000
+    port: Port = 8000
     database: str = ""
     autostart: bool = True
     allow_remote: bool = False
@@ -236,6 +290,8 @@ class CellConfig(BaseSettings):
     limits: LimitsSection
     preflight: PreflightSection = PreflightSection()
     sim: SimSection = SimSection()
+    ur: UrSection | None = None
+    camera: CameraSection | None = None
     api: ApiSection = ApiSection()
     client_loss: ClientLossSection = ClientLossSection()
     recipes: Annotated[dict[Name, RecipeSection], Field(min_length=1)]
@@ -258,6 +314,10 @@ class CellConfig(BaseSettings):
             raise ValueError("preflight.bias_force_n must be below preflight.contact_force_n")
         if self.limits.policy_deadline_s >= self.limits.target_age_s:
             raise ValueError("limits.policy_deadline_s must be below limits.target_age_s, or the arm stops first")
+        if self.cell.driver == "ur" and self.ur is None:
+            raise ValueError(
+                "cell.driver is ur, so the section [ur] must say where the controller is and what it carries"
+            )
         return self
 
     @classmethod

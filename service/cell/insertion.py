@@ -54,6 +54,7 @@ ARM_STOPS: dict[StopReason, FaultCode] = {
     StopReason.KINEMATICS: FaultCode.KINEMATICS,
     StopReason.PROTECTIVE_FORCE: FaultCode.PROTECTIVE_STOP,
     StopReason.LEASE: FaultCode.AUTHORITY,
+    StopReason.PROGRAM_ENDED: FaultCode.AUTHORITY,
 }
 """What it means when the arm's own controller stops under us."""
 ROBOT_MODE_RUNNING, SAFETY_MODE_NORMAL = 7, 1

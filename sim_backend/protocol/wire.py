@@ -62,6 +62,8 @@ class StopReason(IntEnum):
     """The arm's own protection: far more force than the ceiling, or a joint that cannot follow."""
     LEASE = 8
     """Another client engaged."""
+    PROGRAM_ENDED = 9
+    """The control program does not run any more: somebody stopped or replaced it, or its watchdog ended it."""
 
 
 _HEADER: list[Any] = [("magic", "<u4"), ("version", "<u2"), ("kind", "<u2")]
