@@ -14,6 +14,7 @@ from sim_backend import kinematics, quaternion
 from sim_backend.compliance import Law, Reference, advance
 from sim_backend.protocol import pose
 from sim_backend.protocol.wire import TICK_S, Program, StopReason
+from sim_backend.servo import JointServo
 
 Array = npt.NDArray[np.float64]
 Cells = npt.NDArray[np.int64]
@@ -69,9 +70,8 @@ class ArmController:
         self.n = n
         self._all = np.arange(n)
         self._offset = np.array([0.0, 0.0, tcp_offset_m])
-        self._payload = payload
-        self._lead = damping / stiffness
-        self._compliance = 1.0 / stiffness
+        mass, centre = payload
+        self._servo = JointServo(n, stiffness, damping, mass, (0.0, 0.0, centre))
         self.program = np.zeros(n, np.int64)
         self.stop_reason = np.zeros(n, np.int64)
         self.peak_force = np.zeros(n)
@@ -93,7 +93,6 @@ class ArmController:
         self._ceiling = np.full(n, np.inf)
         self.jacobian = np.zeros((n, 6, 6))
         self._inverse = np.zeros((n, 6, 6))
-        self._sag = np.zeros((n, 6))
         self._phase = np.zeros(n, np.int64)
 
     def place(self, cells: Cells, joints: Array, target_delay: Cells) -> None:
@@ -225,7 +224,7 @@ class ArmController:
         if racing.any():
             self._brake(racing.any(1), rates)
         self.joints += TICK_S * rates
-        return self.joints + self._lead * rates + self._sag
+        return self._servo.set_points(self.joints, rates)
 
     def _release_pending(self) -> None:
         due = self._pending == 0
@@ -321,9 +320,7 @@ class ArmController:
         error -= TICK_S * self.reference.twist[cells]  # the step that follows
         joints += np.clip(np.einsum("nij,nj->ni", inverse, error), -_STEP, _STEP)
         self.joints[cells] = joints
-        mass, centre = self._payload
-        lift = kinematics.jacobian(joints, np.array([0.0, 0.0, centre]))[:, 2, :]
-        self._sag[cells] = self._compliance * (mass * kinematics.GRAVITY_M_S2) * lift
+        self._servo.refresh(cells, joints)
 
     def _tcp(self, flange: Array, rotation: Array) -> tuple[Array, Array]:
         """Position (k, 3) and quaternion (k, 4) of the TCP for a flange's pose."""

@@ -131,16 +131,7 @@ class SimulatedCell:
 
     def truth(self) -> dict[str, Any]:
         """What only the simulation knows: for evaluation and tests, never for the control process."""
-        world = self._world
-        return {
-            "task": self._task.to_json(),
-            "hole_position": world.hole_position[0].tolist(),
-            "hole_yaw": float(world.hole_yaw[0]),
-            "depth": float(world.depth[0]),
-            "offset": world.offset[0].tolist(),
-            "contained": bool(world.contained[0]),
-            "force": float(world.true_force[0]),
-        }
+        return {"task": self._task.to_json(), **self._world.truth()}
 
     def _engage(self, command: Record, client: int) -> None:
         for name, (low, high) in _ENGAGE_RANGES.items():

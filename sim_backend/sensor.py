@@ -27,14 +27,13 @@ class ForceTorqueSensor:
     Args:
         n: how many.
         payload_kg: mass that the controller compensates.
-        payload_com_m: its centre along the flange's z axis.
-        tcp_offset_m: TCP along the flange's z axis.
+        payload_com_m: (3,) its centre, in the flange's frame.
+        tcp_offset_m: (3,) the TCP, in the flange's frame.
     """
 
-    def __init__(self, n: int, payload_kg: float, payload_com_m: float, tcp_offset_m: float) -> None:
+    def __init__(self, n: int, payload_kg: float, payload_com_m: npt.ArrayLike, tcp_offset_m: npt.ArrayLike) -> None:
         self._weight = payload_kg * GRAVITY_M_S2
-        self._com = payload_com_m
-        self._tcp = tcp_offset_m
+        self._com, self._tcp = _lever(payload_com_m), _lever(tcp_offset_m)
         self._rows = np.arange(n)
         self._history = np.zeros((MAX_DELAY, n, 6))
         self._slot = 0
@@ -48,6 +47,22 @@ class ForceTorqueSensor:
         self.raw = np.zeros((n, 6))
         self.wrench = np.zeros((n, 6))
         self.saturated: npt.NDArray[np.bool_] = np.zeros(n, bool)
+
+    def configure(
+        self, payload_kg: float, payload_com_m: npt.ArrayLike, tcp_offset_m: npt.ArrayLike, rotation: Array
+    ) -> None:
+        """Compensate another payload and report at another TCP from the next reading on; the zero stays what it was.
+
+        Args:
+            payload_kg: as for the constructor, like the next two.
+            payload_com_m: (3,)
+            tcp_offset_m: (3,)
+            rotation: (n, 3, 3) of the flange, now: a zero taken next goes by readings from before.
+        """
+        self._average += self._gravity(rotation)
+        self._weight = payload_kg * GRAVITY_M_S2
+        self._com, self._tcp = _lever(payload_com_m), _lever(tcp_offset_m)
+        self._average -= self._gravity(rotation)
 
     def reset(self, cell: int, episode: Episode) -> None:
         """Give one sensor an episode's noise, bias and delay, and forget its past."""
@@ -87,9 +102,7 @@ class ForceTorqueSensor:
         self._average += (own - self._average) / ZERO_TICKS
         own -= self._zero
         force = np.einsum("nij,nj->ni", rotation, own[:, :3])
-        # the moment about the TCP, taken in the flange's frame where the lever is along z
-        own[:, 3] += self._tcp * own[:, 1]
-        own[:, 4] -= self._tcp * own[:, 0]
+        own[:, 3:] -= own[:, :3] @ self._tcp  # the moment about the TCP
         self.wrench[:, :3] = force
         self.wrench[:, 3:] = np.einsum("nij,nj->ni", rotation, own[:, 3:])
 
@@ -99,8 +112,13 @@ class ForceTorqueSensor:
 
     def _gravity(self, rotation: Array) -> Array:
         """Wrench of the configured payload's weight, (n, 6), flange axes: force along base -z at its centre."""
-        out = np.zeros((len(rotation), 6))
-        out[:, :3] = -self._weight * rotation[:, 2, :]
-        out[:, 3] = -self._com * out[:, 1]
-        out[:, 4] = self._com * out[:, 0]
+        out = np.empty((len(rotation), 6))
+        np.multiply(rotation[:, 2, :], -self._weight, out=out[:, :3])
+        out[:, 3:] = out[:, :3] @ self._com
         return out
+
+
+def _lever(point: npt.ArrayLike) -> Array:
+    """(3, 3) that turns a force, as a row, into its moment about the origin when it acts at `point` (3,)."""
+    x, y, z = np.asarray(point, np.float64).tolist()
+    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])

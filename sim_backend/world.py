@@ -4,6 +4,7 @@ The same class serves one cell over Zenoh and hundreds in training: there is no 
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,6 +19,7 @@ from sim_backend.protocol import pose
 from sim_backend.protocol.task import Part, Task
 from sim_backend.protocol.wire import StopReason
 from sim_backend.sensor import ForceTorqueSensor
+from sim_backend.servo import gains
 
 Array = npt.NDArray[np.float64]
 Cells = npt.NDArray[np.int64]
@@ -71,13 +73,14 @@ class World:
         self._mass = batch.expand("body_mass")
         self._inertia = batch.expand("body_inertia")
         self._finger_stiffness = batch.expand("jnt_stiffness")
-        self.sensor = ForceTorqueSensor(n, scene.PAYLOAD_KG, scene.PAYLOAD_COM_M, scene.TCP_OFFSET_M)
+        self.sensor = ForceTorqueSensor(
+            n, scene.PAYLOAD_KG, (0.0, 0.0, scene.PAYLOAD_COM_M), (0.0, 0.0, scene.TCP_OFFSET_M)
+        )
         self.arm = ArmController(
             n,
             scene.TCP_OFFSET_M,
             (scene.PAYLOAD_KG, scene.PAYLOAD_COM_M),
-            model.actuator_gainprm[:, 0],
-            -model.actuator_biasprm[:, 2],
+            *gains(model),
         )
         self._episodes: list[Episode] = [draw(Task(0, part))] * n
         self._all = np.arange(n)
@@ -164,10 +167,17 @@ class World:
         self.arm.stop(cells, StopReason.COMMAND)
 
     def tick(self) -> None:
-        """Advance every cell by one tick of 2 ms."""
-        self._ctrl[:] = self.arm.update(
-            self.joints, self.sensor.wrench, self.position, self._orientation, self.sensor.saturated
+        """Advance every cell by one tick of 2 ms, driven by its arm controller."""
+        self.drive(
+            self.arm.update(self.joints, self.sensor.wrench, self.position, self._orientation, self.sensor.saturated)
         )
+
+    def drive(self, set_points: Array) -> None:
+        """Advance every cell by one tick of 2 ms with `set_points` (n, 6) for the joint servos, rad.
+
+        For a controller other than `arm`, which then stands still.
+        """
+        self._ctrl[:] = set_points
         self._batch.step()
         self.ticks += 1
         self._measure()
@@ -190,6 +200,22 @@ class World:
     def data(self, cell: int = 0) -> mujoco.MjData:
         """One cell as MuJoCo data, for rendering and inspection; it goes with `model(cell)`."""
         return self._batch.get_data(cell)
+
+    @property
+    def target_delay(self) -> Cells:
+        """(n,) ticks from a command's arrival to its effect, as the episodes have it."""
+        return np.array([episode.target_delay for episode in self._episodes])
+
+    def truth(self, cell: int = 0) -> dict[str, Any]:
+        """What only the simulation knows about a cell, as JSON: for evaluation and tests, never for a controller."""
+        return {
+            "hole_position": self.hole_position[cell].tolist(),
+            "hole_yaw": float(self.hole_yaw[cell]),
+            "depth": float(self.depth[cell]),
+            "offset": self.offset[cell].tolist(),
+            "contained": bool(self.contained[cell]),
+            "force": float(self.true_force[cell]),
+        }
 
     @property
     def twist(self) -> Array:

@@ -19,7 +19,7 @@ def episode(**changes):
 
 
 def sensor(n=1, **changes):
-    made = ForceTorqueSensor(n, MASS, COM, TCP)
+    made = ForceTorqueSensor(n, MASS, (0, 0, COM), (0, 0, TCP))
     for cell in range(n):
         made.reset(cell, episode(**changes))
     return made
@@ -79,7 +79,7 @@ def test_a_load_shows_exactly_the_delay_later(delay):
 
 
 def test_sensors_of_one_world_have_delays_of_their_own():
-    ft = ForceTorqueSensor(2, MASS, COM, TCP)
+    ft = ForceTorqueSensor(2, MASS, (0, 0, COM), (0, 0, TCP))
     ft.reset(0, episode(sensor_delay=1))
     ft.reset(1, episode(sensor_delay=4))
     ft.read(np.zeros((2, 6)), np.repeat(DOWN, 2, 0))

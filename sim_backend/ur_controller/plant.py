@@ -1,0 +1,237 @@
+"""One simulated arm with its tool, as its controller sees it: joints that it drives, and all that it can measure."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sim_backend import kinematics, scene
+from sim_backend.arm import KINEMATICS_TICKS
+from sim_backend.protocol.task import Part, Task
+from sim_backend.servo import JointServo, gains
+from sim_backend.ur_controller.geometry import (
+    Rotation,
+    Vector,
+    compose,
+    cross,
+    flange_of,
+    invert,
+    jacobian_of,
+    multiply,
+    rotate,
+    rotation_of,
+    rotvec_of,
+)
+from sim_backend.world import World
+
+Array = npt.NDArray[np.float64]
+
+_ONLY = np.array([0])
+
+
+class Plant:
+    """The arm of a world of one cell.
+
+    Measured values are those after the last tick; arrays are replaced, never changed in place. Poses are
+    `[x, y, z, rx, ry, rz]`, m and rad, base frame.
+
+    The arm is put somewhere else in one of two ways, both at rest and both at once: `lay_out` begins an episode anew,
+    `place` moves the arm alone. Whoever drives the arm hears of it through `on_placed`, and has to take the measured
+    joints as its target; programs that run there go on.
+
+    Args:
+        world: of one cell; another takes its place when an episode asks for another part.
+
+    Attributes:
+        world: what is simulated.
+        q: (6,) measured joint angles, rad.
+        qd: (6,) measured joint speeds, rad/s.
+        set_points: (6,) what the joint servos were given last, rad.
+        wrench: (6,) at the configured TCP, base axes, N and N·m: what the environment does to the tool, zeroed and
+            without the weight of the configured payload.
+        ft_raw: (6,) what the sensor at the flange reads, flange axes; neither zeroed nor compensated.
+        saturated: a channel of the sensor is at the end of its range.
+        tcp_offset: pose of the configured TCP in the flange's frame; at first the scene's.
+        payload_kg: configured payload; at first the scene's, as are the next two.
+        payload_cog: (3,) its centre in the flange's frame, m.
+        payload_inertia: (6,) Ixx Iyy Izz Ixy Ixz Iyz, kg·m²; reported, and without effect.
+        input_delay: ticks from a command's arrival to its effect in this episode.
+        on_placed: called after the arm was put somewhere else.
+    """
+
+    def __init__(self, world: World) -> None:
+        if world.n != 1:
+            raise ValueError(f"a plant is one arm, this world holds {world.n}; make it with World(1, part)")
+        self.world = world
+        self.on_placed: list[Callable[[], None]] = []
+        self.tcp_offset: tuple[float, ...] = (0.0, 0.0, scene.TCP_OFFSET_M, 0.0, 0.0, 0.0)
+        self.payload_kg = scene.PAYLOAD_KG
+        self.payload_cog: tuple[float, ...] = (0.0, 0.0, scene.PAYLOAD_COM_M)
+        self.payload_inertia: tuple[float, ...] = (0.0,) * 6
+        self._tool_rotation = rotation_of(0.0, 0.0, 0.0)
+        self._stiffness, self._damping = gains(world.model())
+        self._servo = JointServo(1, self._stiffness, self._damping, self.payload_kg, self.payload_cog)
+        self._task = Task(0, world.part)
+        self._settle()
+
+    def drive(self, q_target: Array, qd_target: Array) -> None:
+        """Simulate one tick of 2 ms.
+
+        Args:
+            q_target: (6,) where the joints are to be at its end, rad.
+            qd_target: (6,) how fast they are to move there, rad/s.
+        """
+        if self._phase == 0:
+            self._servo.refresh(_ONLY, q_target[None])
+        self._phase = (self._phase + 1) % KINEMATICS_TICKS
+        set_points = self._servo.set_points(q_target, qd_target)
+        self.set_points = set_points[0]
+        self.world.drive(set_points)
+        self._measure()
+
+    def lay_out(self, task: Task) -> None:
+        """Begin an episode: another hole, another plant, the arm at rest at the start pose.
+
+        The configured TCP and payload stay; the sensor's zero is lost, for it has another bias.
+
+        Raises:
+            ValueError: a value of the task is out of range.
+        """
+        task.check()
+        if task.part != self.world.part:
+            self.world = World(1, task.part)
+        nominal = scene.PAYLOAD_KG, (0.0, 0.0, scene.PAYLOAD_COM_M), self.tcp_offset[:3]
+        self.world.sensor.configure(*nominal, self.world.rotation)  # what a reset takes as carried
+        self.world.reset(_ONLY, [task])
+        self._task = task
+        self._configure()
+        self._placed()
+
+    def place(self, position: Sequence[float], yaw: float = 0.0) -> None:
+        """Put the arm at rest with the scene's TCP at `position` (3,), m, tool down, turned by `yaw`, rad.
+
+        Raises:
+            KinematicsError: out of reach.
+        """
+        self.world.place(_ONLY, np.array([position], np.float64), np.array([yaw]))
+        self._placed()
+
+    def set_tcp(self, offset: Sequence[float]) -> None:
+        """Configure the TCP: its pose in the flange's frame."""
+        self.tcp_offset = tuple(map(float, offset))
+        self._tool_rotation = rotation_of(*self.tcp_offset[3:])
+        self._configure()
+        self._pose = None
+
+    def set_payload(self, kg: float, cog: Sequence[float], inertia: Sequence[float] | None = None) -> None:
+        """Configure the payload: mass kg, centre (3,) m in the flange's frame, inertia (6,) kg·m² or as it is."""
+        self.payload_kg, self.payload_cog = float(kg), tuple(map(float, cog))
+        if inertia is not None:
+            self.payload_inertia = tuple(map(float, inertia))
+        self._configure()
+
+    def zero_ft(self) -> None:
+        """Take what the sensor read in the last moments as its zero; meaningless in contact and in motion."""
+        self.world.zero_ft(_ONLY)
+
+    def flange(self) -> tuple[Vector, Rotation]:
+        """Measured position (m) and rotation of the flange."""
+        if self._flange is None:
+            self._flange = flange_of(self.q.tolist())
+        return self._flange
+
+    def tcp_pose(self) -> list[float]:
+        """Measured pose of the configured TCP."""
+        if self._pose is None:
+            self._pose = self._tcp(*self.flange())
+        return self._pose.copy()
+
+    def tcp_speed(self) -> list[float]:
+        """Measured twist of the configured TCP, base axes, m/s and rad/s."""
+        return (jacobian_of(self.q.tolist(), self.tcp_pose()[:3]) @ self.qd).tolist()
+
+    def flange_wrench(self) -> list[float]:
+        """`wrench`, with the torque about the flange's origin instead of the TCP."""
+        force, moment = self.wrench[:3].tolist(), self.wrench[3:].tolist()
+        lever = rotate(self.flange()[1], self.tcp_offset[:3])
+        turned = cross(lever, force)
+        return [*force, moment[0] + turned[0], moment[1] + turned[1], moment[2] + turned[2]]
+
+    def joint_torques(self) -> Array:
+        """(6,) torque of the joint servos, N·m, without the weight of the links."""
+        torque = self._stiffness * (self.set_points - self.q) - self._damping * self.qd
+        return np.clip(torque, -kinematics.JOINT_TORQUE_NM, kinematics.JOINT_TORQUE_NM)
+
+    def flange_pose_of(self, q: Sequence[float]) -> list[float]:
+        """Pose of the flange at joint angles (6,)."""
+        position, rotation = flange_of(q)
+        return [*position, *rotvec_of(rotation)]
+
+    def tcp_pose_of(self, q: Sequence[float]) -> list[float]:
+        """Pose of the configured TCP at joint angles (6,)."""
+        return self._tcp(*flange_of(q))
+
+    def jacobian_of(self, q: Sequence[float]) -> Array:
+        """Geometric Jacobian (6, 6) of the configured TCP at joint angles (6,), base axes, linear rows first."""
+        position, rotation = flange_of(q)
+        x, y, z = rotate(rotation, self.tcp_offset[:3])
+        return jacobian_of(q, (position[0] + x, position[1] + y, position[2] + z))
+
+    def inverse(self, pose: Sequence[float], q_near: Sequence[float] | Array) -> Array:
+        """Joint angles (6,) nearest to `q_near` (6,) that bring the configured TCP to `pose`.
+
+        Raises:
+            KinematicsError: no solution within the joint range.
+        """
+        flange = compose(pose, invert(self.tcp_offset))
+        rotation = np.array(rotation_of(*flange[3:])).reshape(3, 3)
+        return kinematics.inverse(np.array(flange[:3]), rotation, np.asarray(q_near, np.float64))
+
+    @property
+    def estimate(self) -> Array:
+        """(3,) the camera's estimate of the hole's mouth, m."""
+        return self.world.estimate[0]
+
+    @property
+    def true_force(self) -> float:
+        """Resultant of the true load on the gripper and the peg, N, gravity and inertia included."""
+        return float(self.world.true_force[0])
+
+    def truth(self) -> dict[str, Any]:
+        """What only the simulation knows: for evaluation and tests, never for a controller."""
+        return {"task": self._task.to_json(), **self.world.truth()}
+
+    @property
+    def part(self) -> Part:
+        """Peg and hole of the present world."""
+        return self.world.part
+
+    def _tcp(self, position: Vector, rotation: Rotation) -> list[float]:
+        x, y, z = rotate(rotation, self.tcp_offset[:3])
+        turn = rotvec_of(multiply(rotation, self._tool_rotation))
+        return [position[0] + x, position[1] + y, position[2] + z, *turn]
+
+    def _configure(self) -> None:
+        self._servo.set_payload(self.payload_kg, self.payload_cog)
+        self.world.sensor.configure(self.payload_kg, self.payload_cog, self.tcp_offset[:3], self.world.rotation)
+        self._phase = 0
+
+    def _placed(self) -> None:
+        self._settle()
+        for heard in self.on_placed:
+            heard()
+
+    def _settle(self) -> None:
+        self._phase = 0
+        self.input_delay = int(self.world.target_delay[0])
+        self.set_points = self.world.joints[0]
+        self._measure()
+
+    def _measure(self) -> None:
+        world = self.world
+        self.q, self.qd = world.joints[0], world.joint_speeds[0].copy()
+        self.wrench, self.ft_raw = world.sensor.wrench[0].copy(), world.sensor.raw[0]
+        self.saturated = bool(world.sensor.saturated[0])
+        self._flange: tuple[Vector, Rotation] | None = None
+        self._pose: list[float] | None = None
