@@ -35,11 +35,14 @@ class Connection:
         peer: its address, `host:port`.
         is_open: false once either side has closed; the service hears of it through `on_close`.
         pending: bytes that wait for the peer to read.
+        patient: never close for lack of reading. For services that send only when nothing is `pending`, to clients
+            that open a connection to write to it and never read.
     """
 
     def __init__(self, peer_socket: socket.socket, peer: str, clock: Callable[[], float]) -> None:
         self.peer = peer
         self.is_open = True
+        self.patient = False
         self._socket = peer_socket
         self._clock = clock
         self._buffer = bytearray()
@@ -78,12 +81,12 @@ class Connection:
         self.is_open = False
 
     def flush(self) -> None:
-        """Send what waits; closes where the peer has taken nothing for `DRAIN_TIMEOUT_S`."""
+        """Send what waits; closes where the peer has taken nothing for `DRAIN_TIMEOUT_S`, unless `patient`."""
         sent = self._send(self._buffer)
         if sent:
             del self._buffer[:sent]
             self._progress_s = self._clock()
-        elif self._clock() - self._progress_s > DRAIN_TIMEOUT_S:
+        elif not self.patient and self._clock() - self._progress_s > DRAIN_TIMEOUT_S:
             self.close()
 
     def read(self) -> bytes:

@@ -188,6 +188,22 @@ def test_a_peer_that_takes_nothing_for_ten_seconds_is_disconnected(loop: Listene
         until(loop, lambda: bool(service.closed))
 
 
+def test_a_patient_service_waits_for_such_a_peer(loop: Listener, clock: Clock) -> None:
+    service = Upper()
+    port = loop.serve(service, HOST, 0)
+    with connect(port, receive_buffer=4096) as peer:
+        until(loop, lambda: bool(service.connections))
+        service.connections[0].patient = True
+        peer.sendall(b"flood 900000")
+        until(loop, lambda: bool(service.heard))
+        clock.now_s += 3600.0
+        for _ in range(10):
+            loop.poll()
+        assert service.closed == []
+        peer.sendall(b"still here")
+        until(loop, lambda: len(service.heard) == 2)
+
+
 def test_no_more_is_kept_for_a_peer_than_the_limit(loop: Listener) -> None:
     service = Upper()
     port = loop.serve(service, HOST, 0)
