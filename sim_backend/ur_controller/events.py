@@ -7,7 +7,7 @@ from typing import TypeAlias
 from sim_backend.ur_controller.safety import SafetyMode
 
 
-class Refused(Exception):
+class Refused(Exception):  # noqa: N818 (the command is at fault, not the controller)
     """A command that the controller does not carry out; the text is the one that the real controller gives."""
 
 
