@@ -13,7 +13,8 @@ MAX_TICKS = 5000
 """Largest number of ticks in one `advance`: 10 s of simulated time, 3 MB of reply."""
 MAX_COMMANDS = 1000
 """Largest number of commands in one message."""
-MAX_TASK_BYTES = 4096
+MAX_OBJECT_BYTES = 4096
+"""Largest JSON object of a request."""
 
 _COMMAND_KINDS = tuple(int(kind) for kind in wire.Kind if kind not in (wire.Kind.STATE, wire.Kind.CAMERA))
 
@@ -67,6 +68,43 @@ def advance(cell: SimulatedCell, parameters: str, payload: bytes) -> bytes:
     return b"".join([cell.tick().tobytes() for _ in range(ticks)])
 
 
+def read_object(payload: bytes, request: str) -> dict[str, Any]:
+    """Read the JSON object of a request.
+
+    Args:
+        payload: of the request, at most `MAX_OBJECT_BYTES`.
+        request: its name, for the error.
+
+    Raises:
+        RequestError: not such an object, or too long.
+    """
+    if len(payload) > MAX_OBJECT_BYTES:
+        raise RequestError(f"{request}: a payload of {len(payload)} bytes, at most {MAX_OBJECT_BYTES}")
+    try:
+        document = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise RequestError(f"{request}: the payload is not JSON: {error}") from error
+    if not isinstance(document, dict):
+        raise RequestError(f"{request}: the payload must be a JSON object")
+    return cast(dict[str, Any], document)
+
+
+def read_task(payload: bytes) -> Task:
+    """Read the task of a reset.
+
+    Args:
+        payload: JSON object of a `Task`, such as `{"seed": 0}`.
+
+    Raises:
+        RequestError: not such an object, or a field is unknown, missing or out of range; the text names it.
+    """
+    document = read_object(payload, "reset")
+    try:
+        return Task.from_json(document)
+    except ValueError as error:
+        raise RequestError(f"reset: {error}") from error
+
+
 def reset(cell: SimulatedCell, payload: bytes) -> bytes:
     """Lay the world out anew.
 
@@ -78,18 +116,11 @@ def reset(cell: SimulatedCell, payload: bytes) -> bytes:
         One record of `wire.STATE`.
 
     Raises:
-        RequestError: not such an object, or a field is unknown, missing or out of range; the text names it.
+        RequestError: as `read_task`; or the task cannot be laid out.
     """
-    if len(payload) > MAX_TASK_BYTES:
-        raise RequestError(f"reset: a task of {len(payload)} bytes, at most {MAX_TASK_BYTES}")
+    task = read_task(payload)
     try:
-        document = json.loads(payload)
-    except (ValueError, RecursionError) as error:
-        raise RequestError(f"reset: the task is not JSON: {error}") from error
-    if not isinstance(document, dict):
-        raise RequestError('reset: the task must be a JSON object such as {"seed": 0}')
-    try:
-        return cell.reset(Task.from_json(cast(dict[str, Any], document))).tobytes()
+        return cell.reset(task).tobytes()
     except ValueError as error:
         raise RequestError(f"reset: {error}") from error
 

@@ -5,6 +5,7 @@ Zenoh's own threads only fill bounded channels; they never touch the world, and 
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, NoReturn
@@ -46,6 +47,33 @@ class Counters:
     queries_refused: int = 0
 
 
+def query_keys(world: str, queries: Mapping[str, str]) -> dict[str, zenoh.KeyExpr]:
+    """Return the keys of a world's queries by name.
+
+    Args:
+        world: name of the world in its keys.
+        queries: patterns of `protocol/keys.py` by name.
+
+    Raises:
+        ValueError: `world` cannot stand in a key.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", world):
+        raise ValueError(f"world {world!r}: use letters, digits, '-', '_' and '.', at most 64")
+    return {name: zenoh.KeyExpr(key.format(world=world)) for name, key in queries.items()}
+
+
+def asked(query: zenoh.Query, keys: Mapping[str, zenoh.KeyExpr]) -> str:
+    """Return the name of the one query that is asked.
+
+    Raises:
+        RequestError: its key names none of `keys`, or several.
+    """
+    names = [name for name, key in keys.items() if query.key_expr.intersects(key)]
+    if len(names) != 1:
+        raise answers.RequestError(f"{query.key_expr} names {len(names)} queries, ask one of {', '.join(keys)}")
+    return names[0]
+
+
 class Server:
     """Serves one world under `sim/<world>/`; the thread that calls `run` owns the cell."""
 
@@ -64,13 +92,11 @@ class Server:
         Raises:
             ValueError: `world` cannot stand in a key.
         """
-        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", world):
-            raise ValueError(f"world {world!r}: use letters, digits, '-', '_' and '.', at most 64")
         self.counters = Counters()
         self._cell = cell
         self._mode = mode
         self._degraded = degraded or []
-        self._keys = {name: zenoh.KeyExpr(key.format(world=world)) for name, key in _QUERIES.items()}
+        self._keys = query_keys(world, _QUERIES)
         self._queries = session.declare_queryable(f"sim/{world}/*", zenoh.handlers.FifoChannel(_QUERY_CAPACITY))
         if mode is Mode.REAL_TIME:
             self._commands = session.declare_subscriber(
@@ -141,7 +167,7 @@ class Server:
         """Reply to one query; return whether it laid out the world, which takes longer than a tick."""
         with query:
             try:
-                name = self._asked(query)
+                name = asked(query, self._keys)
                 reply = self._carry_out(name, query)
             except answers.RequestError as error:
                 self.counters.queries_refused += 1
@@ -149,12 +175,6 @@ class Server:
                 return False
             query.reply(self._keys[name], reply, express=True)
             return name == "reset"
-
-    def _asked(self, query: zenoh.Query) -> str:
-        names = [name for name, key in self._keys.items() if query.key_expr.intersects(key)]
-        if len(names) != 1:
-            raise answers.RequestError(f"{query.key_expr} names {len(names)} queries, ask one of {', '.join(_QUERIES)}")
-        return names[0]
 
     def _carry_out(self, name: str, query: zenoh.Query) -> bytes:
         payload = query.payload.to_bytes() if query.payload is not None else b""

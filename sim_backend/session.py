@@ -31,9 +31,18 @@ def check_endpoint(endpoint: str, *, allow_remote: bool) -> None:
     match = _ENDPOINT.fullmatch(endpoint)
     if match is None or int(match["port"]) > 65535:
         raise EndpointError(f"endpoint {endpoint!r} is not of the form tcp/127.0.0.1:7447")
-    if not allow_remote and not _is_loopback(match["host"].strip("[]")):
+    check_host(match["host"].strip("[]"), allow_remote=allow_remote)
+
+
+def check_host(host: str, *, allow_remote: bool) -> None:
+    """Refuse an address that leaves this machine unasked.
+
+    Raises:
+        EndpointError: not loopback while `allow_remote` is false.
+    """
+    if not allow_remote and not _is_loopback(host):
         raise EndpointError(
-            f"endpoint {endpoint} is not on loopback: whoever reaches it can move the arm. "
+            f"{host} is not on loopback: whoever reaches it can move the arm. "
             "Add --allow-remote if the network is trusted"
         )
 

@@ -1,0 +1,217 @@
+"""RTDE as the emulated controller serves it: recipes of every client, reserved inputs, data packages, text messages.
+
+Source: UR's RTDE guide; where it is silent, what UR's own clients and `ur_rtde` rely on.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from sim_backend.protocol.rtde.codec import REQUEST_LIMIT, FrameReader, PackageType, Recipe, Value
+from sim_backend.protocol.rtde.errors import FramingError, PackageError, Reason
+from sim_backend.protocol.rtde.fields import INPUTS, OUTPUTS, SINCE, FieldType
+from sim_backend.protocol.rtde.messages import (
+    PROTOCOL_VERSION,
+    ControllerVersion,
+    InputsRequest,
+    Level,
+    OutputsRequest,
+    SetupReply,
+    TextMessage,
+    decode_version_request,
+    encode_accepted,
+)
+from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.events import CompileFailed, Event, RuntimeFailed
+from sim_backend.ur_controller.listener import Connection
+
+TICK_RATE_HZ = 500
+MAX_INPUT_RECIPES = 255
+"""Of one client: the recipe id is one byte and 0 says that a recipe was refused."""
+_SOURCE = "RTDE interface"
+_OUTPUT_RECIPE_ID = 1  # of the only output recipe that a client has
+
+
+@dataclass(frozen=True, slots=True)
+class _Outputs:
+    """What one client receives."""
+
+    recipe: Recipe
+    getters: tuple[Callable[[], Value], ...]
+    every: int
+    """Ticks from one package to the next."""
+
+
+class _Client:
+    """One connection's part of the protocol."""
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
+        self.reader = FrameReader(REQUEST_LIMIT)
+        self.version = 1  # until it asks for another
+        self.outputs: _Outputs | None = None
+        self.inputs: list[Recipe] = []
+        self.started = False
+
+
+class RtdeService:
+    """Serves RTDE to any number of clients.
+
+    A variable of a client's input recipe is that client's until it disconnects: for others it is IN_USE. Inputs are
+    taken whether or not the client has started its outputs: there are clients that only write. A client that reads
+    slowly misses packages; those it misses are not made up for.
+
+    Attributes:
+        sent: data packages sent.
+        skipped: data packages left out because their client had not read the ones before.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self.sent = 0
+        self.skipped = 0
+        self._controller = controller
+        self._version = ControllerVersion(*controller.versions)
+        self._clients: dict[Connection, _Client] = {}
+        self._holders: dict[str, _Client] = {}
+        self._tick = 0
+        self._handlers: dict[int, Callable[[_Client, bytes], None]] = {
+            PackageType.PROTOCOL_VERSION: self._agree_version,
+            PackageType.CONTROLLER_VERSION: self._tell_version,
+            PackageType.SETUP_OUTPUTS: self._set_up_outputs,
+            PackageType.SETUP_INPUTS: self._set_up_inputs,
+            PackageType.START: self._start,
+            PackageType.PAUSE: self._pause,
+            PackageType.DATA: self._take_inputs,
+            PackageType.TEXT: self._take_text,
+        }
+        controller.events.append(self._on_event)
+
+    def on_connect(self, connection: Connection) -> None:
+        self._clients[connection] = _Client(connection)
+
+    def on_data(self, connection: Connection, data: bytes) -> None:
+        """Carry out what has arrived whole; what is no RTDE ends the connection."""
+        client = self._clients[connection]
+        try:
+            for kind, payload in client.reader.feed(data):
+                handler = self._handlers.get(kind)
+                if handler is None:
+                    raise PackageError(Reason.UNKNOWN_PACKAGE, f"type {kind} is no package of RTDE")
+                handler(client, payload)
+        except (FramingError, PackageError):
+            connection.close()
+
+    def on_close(self, connection: Connection) -> None:
+        client = self._clients.pop(connection)
+        self._holders = {name: holder for name, holder in self._holders.items() if holder is not client}
+
+    def publish(self) -> None:
+        """Send what is due at this tick."""
+        self._tick += 1
+        for client in self._clients.values():
+            outputs = client.outputs
+            if outputs is None or not client.started or self._tick % outputs.every:
+                continue
+            if client.connection.pending:
+                self.skipped += 1
+                continue
+            client.connection.send(outputs.recipe.encode([get() for get in outputs.getters]))
+            self.sent += 1
+
+    def _agree_version(self, client: _Client, payload: bytes) -> None:
+        version = decode_version_request(payload)
+        accepted = 1 <= version <= PROTOCOL_VERSION
+        if accepted:
+            client.version = version
+        client.connection.send(encode_accepted(PackageType.PROTOCOL_VERSION, accepted))
+
+    def _tell_version(self, client: _Client, _payload: bytes) -> None:
+        client.connection.send(self._version.encode())
+
+    def _set_up_outputs(self, client: _Client, payload: bytes) -> None:
+        """Agree on an output recipe; one that is refused leaves the one before in force."""
+        unnumbered = client.version == 1
+        try:
+            request = OutputsRequest.decode(payload, client.version)
+        except PackageError:  # too many names, or no frequency
+            client.connection.send(SetupReply((), None if unnumbered else 0).encode(PackageType.SETUP_OUTPUTS))
+            return
+        frequency_hz = TICK_RATE_HZ if request.frequency_hz is None else request.frequency_hz
+        types = tuple(self._type_of(name, OUTPUTS) for name in request.names)
+        accepted = 1 <= frequency_hz <= TICK_RATE_HZ and _all_known(types)
+        if accepted:
+            client.outputs = _Outputs(
+                recipe=_recipe(request.names, types, None if unnumbered else _OUTPUT_RECIPE_ID),
+                getters=tuple(self._controller.output_getter(name) for name in request.names),
+                every=math.floor(TICK_RATE_HZ / frequency_hz),
+            )
+        recipe_id = _OUTPUT_RECIPE_ID if accepted else 0
+        client.connection.send(SetupReply(types, None if unnumbered else recipe_id).encode(PackageType.SETUP_OUTPUTS))
+
+    def _set_up_inputs(self, client: _Client, payload: bytes) -> None:
+        """Agree on one more input recipe; one that is refused reserves nothing and takes no number."""
+        try:
+            names = InputsRequest.decode(payload).names
+        except PackageError:  # too many names
+            client.connection.send(SetupReply((), 0).encode(PackageType.SETUP_INPUTS))
+            return
+        types = tuple(
+            Reason.IN_USE if self._holders.get(name, client) is not client else self._type_of(name, INPUTS)
+            for name in names
+        )
+        recipe_id = 0
+        if len(client.inputs) < MAX_INPUT_RECIPES and _all_known(types):
+            recipe_id = len(client.inputs) + 1
+            client.inputs.append(_recipe(names, types, recipe_id))
+            self._holders.update(dict.fromkeys(names, client))
+        client.connection.send(SetupReply(types, recipe_id).encode(PackageType.SETUP_INPUTS))
+
+    def _start(self, client: _Client, _payload: bytes) -> None:
+        client.started = client.outputs is not None
+        client.connection.send(encode_accepted(PackageType.START, client.started))
+
+    def _pause(self, client: _Client, _payload: bytes) -> None:
+        client.started = False
+        client.connection.send(encode_accepted(PackageType.PAUSE, True))
+
+    def _take_inputs(self, client: _Client, payload: bytes) -> None:
+        if not payload or not 1 <= payload[0] <= len(client.inputs):
+            number = payload[0] if payload else "missing"
+            self._tell(client, Level.ERROR, f"Input recipe {number} has not been set up, its data are ignored")
+            return
+        recipe = client.inputs[payload[0] - 1]
+        self._controller.apply_inputs(recipe.names, recipe.decode(payload))
+
+    def _take_text(self, _client: _Client, payload: bytes) -> None:
+        """A client's message for PolyScope's log, which nobody reads here; it must be one all the same."""
+        TextMessage.decode(payload)
+
+    def _type_of(self, name: str, table: dict[str, FieldType]) -> str:
+        kind = table.get(name)
+        if kind is None or SINCE.get(name, (0, 0, 0)) > self._version[:3]:
+            return Reason.NOT_FOUND
+        return kind.name
+
+    def _on_event(self, event: Event) -> None:
+        """Pass on to clients what went wrong with a program."""
+        if isinstance(event, RuntimeFailed):
+            level, text = Level.EXCEPTION, event.text
+        elif isinstance(event, CompileFailed):
+            level, text = Level.ERROR, event.text
+        else:
+            return
+        for client in self._clients.values():
+            self._tell(client, level, text)
+
+    def _tell(self, client: _Client, level: Level, text: str) -> None:
+        """Send a text message; none before the start, and none in version 1: it would confuse a set-up under way."""
+        if client.started and client.version >= PROTOCOL_VERSION:
+            client.connection.send(TextMessage(text, _SOURCE, level).encode())
+
+
+def _all_known(types: Sequence[str]) -> bool:
+    return bool(types) and all(kind in FieldType.__members__ for kind in types)
+
+
+def _recipe(names: Sequence[str], types: Sequence[str], recipe_id: int | None) -> Recipe:
+    return Recipe(names, [FieldType[kind] for kind in types], recipe_id)

@@ -1,0 +1,130 @@
+"""The emulated controller on the network: every port of it and its 2 ms tick, on one thread."""
+
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+from sim_backend.protocol.wire import TICK_S
+from sim_backend.realtime import Metronome, freeze_garbage, has_realtime_scheduling
+from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.dashboard_server import DashboardService
+from sim_backend.ur_controller.gripper_server import Gripper, GripperService
+from sim_backend.ur_controller.listener import Listener, Service
+from sim_backend.ur_controller.primary_server import PrimaryService
+from sim_backend.ur_controller.rtde_server import RtdeService
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """TCP ports, as an e-Series controller and a gripper's URCap have them; 0 takes a free one."""
+
+    rtde: int = 30004
+    dashboard: int = 29999
+    primary: int = 30001
+    secondary: int = 30002
+    realtime: int = 30003
+    gripper: int = 63352
+
+
+ANY_PORTS = Ports(*[0] * len(fields(Ports)))
+"""Free ports throughout, for several controllers at one address."""
+
+
+@dataclass(slots=True)
+class Counters:
+    """What became of ticks since the start, and of data packages."""
+
+    ticks: int = 0
+    overruns: int = 0
+    skipped: int = 0
+    worst_lateness_s: float = 0.0
+    rtde_sent: int = 0
+    rtde_skipped: int = 0
+
+
+class Stage(Protocol):
+    """What surrounds the arm and shares its thread: called once per tick, after it."""
+
+    def step(self) -> bool:
+        """Return whether it did something that takes longer than a tick."""
+        ...
+
+
+class ControllerServer:
+    """Serves one controller. Everything happens in the thread that calls, in `step` or `run`.
+
+    Attributes:
+        ports: at which it listens.
+        counters: of ticks and packages; lateness only under `run`.
+        gripper: the one at the arm's tool.
+    """
+
+    def __init__(self, controller: Controller, host: str = "127.0.0.1", ports: Ports = Ports()) -> None:
+        """Listen at every port.
+
+        Args:
+            controller: is ticked from here on by `step` or `run` only.
+            host: address of this machine to listen at.
+            ports: wanted.
+
+        Raises:
+            ListenError: one of them cannot be listened at; none is, then.
+        """
+        self.counters = Counters()
+        self.gripper = Gripper()
+        self._controller = controller
+        self._listener = Listener()
+        self._rtde = RtdeService(controller)
+        self._dashboard = DashboardService(controller)
+        services: dict[str, Service] = {
+            "rtde": self._rtde,
+            "dashboard": self._dashboard,
+            "primary": PrimaryService(controller, "primary"),
+            "secondary": PrimaryService(controller, "secondary"),
+            "realtime": PrimaryService(controller, "realtime"),
+            "gripper": GripperService(self.gripper),
+        }
+        try:
+            found = {
+                name: self._listener.serve(service, host, getattr(ports, name)) for name, service in services.items()
+            }
+        except OSError:
+            self._listener.close()
+            raise
+        self.ports = Ports(**found)
+
+    def poll(self) -> None:
+        """Handle what clients have sent; lets no time pass."""
+        self._listener.poll()
+
+    def step(self) -> None:
+        """One tick: what has arrived, 2 ms of the controller and its arm, what clients are to be told."""
+        self._listener.poll()
+        self._controller.tick()
+        self._listener.publish()
+        self.counters.ticks += 1
+
+    def run(self, stage: Stage | None = None) -> None:
+        """Step every 2 ms by the wall clock, until an exception ends it or a client shuts the controller down.
+
+        Args:
+            stage: stepped after every tick.
+        """
+        freeze_garbage()
+        metronome = Metronome(TICK_S, spin=has_realtime_scheduling())
+        while not self._dashboard.shutdown_requested:
+            metronome.wait()
+            self.step()
+            self._count(metronome)
+            if stage is not None and stage.step():
+                metronome.restart()
+
+    def close(self) -> None:
+        """Disconnect every client and free the ports."""
+        self._listener.close()
+
+    def _count(self, metronome: Metronome) -> None:
+        counters = self.counters
+        counters.overruns = metronome.overruns
+        counters.skipped = metronome.skipped
+        counters.worst_lateness_s = metronome.worst_lateness_s
+        counters.rtde_sent, counters.rtde_skipped = self._rtde.sent, self._rtde.skipped

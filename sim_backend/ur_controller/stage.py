@@ -1,0 +1,189 @@
+"""What surrounds the emulated robot, over Zenoh: the episode, the truth, the camera, and the panel a person stands at.
+
+The arm itself speaks UR's protocols only. Keys and records stand in `docs/wire.md`.
+"""
+
+import json
+import secrets
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+
+import zenoh
+
+from sim_backend import answers
+from sim_backend.protocol import keys, wire
+from sim_backend.server import asked, query_keys
+from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.events import Refused
+from sim_backend.ur_controller.server import ControllerServer
+from sim_backend.world import ESTIMATE_TICKS
+
+_QUERIES = {"reset": keys.RESET, "truth": keys.TRUTH, "info": keys.INFO, "panel": keys.PANEL}
+_QUERY_CAPACITY = 64
+
+
+class Panel:
+    """The robot's own panel: its emergency stop, its safeguard input, its key switch and the buttons of PolyScope."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self._presses: dict[str, Callable[[], None]] = {
+            "emergency_stop": controller.press_emergency_stop,
+            "release_emergency_stop": controller.release_emergency_stop,
+            "open_safeguard": controller.open_safeguard,
+            "close_safeguard": controller.close_safeguard,
+            "local": partial(setattr, controller, "remote_control", False),
+            "remote": partial(setattr, controller, "remote_control", True),
+            "power_on": controller.power_on,
+            "power_off": controller.power_off,
+            "brake_release": controller.brake_release,
+            "unlock_protective_stop": controller.unlock_protective_stop,
+            "close_safety_popup": controller.close_safety_popup,
+            "restart_safety": controller.restart_safety,
+            "play": controller.play,
+            "pause": controller.pause,
+            "stop": controller.stop_program,
+        }
+
+    def press(self, payload: bytes) -> bytes:
+        """Press what a request names.
+
+        Args:
+            payload: JSON object `{"press": name}`.
+
+        Returns:
+            JSON of the controller's state afterwards.
+
+        Raises:
+            RequestError: it cannot be read, names nothing there, or the controller refuses.
+        """
+        document = answers.read_object(payload, "panel")
+        name = document.get("press")
+        if len(document) != 1 or name not in self._presses:
+            raise answers.RequestError(f'panel: {{"press": name}} takes one of {", ".join(self._presses)}')
+        try:
+            self._presses[name]()
+        except Refused as error:
+            raise answers.RequestError(f"panel: the controller refuses: {error}") from error
+        return json.dumps(_state(self._controller)).encode()
+
+
+class Stage:
+    """Serves the surroundings of one controller under `sim/<world>/`, in the thread of its server.
+
+    Attributes:
+        epoch: identity of this world, drawn at random.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        server: ControllerServer,
+        session: zenoh.Session,
+        world: str,
+        degraded: list[str] | None = None,
+    ) -> None:
+        """Declare the keys.
+
+        Args:
+            controller: of the arm.
+            server: that serves it and steps this stage.
+            session: open; the caller closes this stage and then the session.
+            world: name of the world in its keys.
+            degraded: what the host refused to grant, for `info`.
+
+        Raises:
+            ValueError: `world` cannot stand in a key.
+        """
+        self.epoch = secrets.randbits(63)
+        self.panel = Panel(controller)
+        self._controller = controller
+        self._server = server
+        self._degraded = degraded or []
+        self._episode = 0
+        self._ticks = 0
+        self._keys = query_keys(world, _QUERIES)
+        self._queries = session.declare_queryable(f"sim/{world}/*", zenoh.handlers.FifoChannel(_QUERY_CAPACITY))
+        self._camera = session.declare_publisher(
+            keys.CAMERA.format(world=world),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME,
+            express=True,
+        )
+
+    def step(self) -> bool:
+        """After a tick: publish a camera frame that is due, answer one query; returns whether it laid out the world."""
+        if self._ticks % ESTIMATE_TICKS == 0:
+            self._camera.put(self.frame())
+        self._ticks += 1
+        query = self._queries.try_recv()
+        return query is not None and self._answer(query)
+
+    def frame(self) -> bytes:
+        """The camera's present frame: one `wire.CAMERA` record."""
+        record = wire.new(wire.CAMERA, wire.Kind.CAMERA)
+        row = record[0]
+        row["epoch"], row["episode"], row["seq"] = self.epoch, self._episode, self._server.counters.ticks
+        row["time_s"] = self._controller.time_s
+        row["position"] = self._controller.plant.estimate
+        return record.tobytes()
+
+    def close(self) -> None:
+        """Answer nothing more; a Zenoh thread that waits at a full channel would hold up the session's end."""
+        self._queries.undeclare()
+
+    def _answer(self, query: zenoh.Query) -> bool:
+        with query:
+            try:
+                name = asked(query, self._keys)
+                reply = self._carry_out(name, query.payload.to_bytes() if query.payload is not None else b"")
+            except answers.RequestError as error:
+                query.reply_err(str(error), encoding=zenoh.Encoding.TEXT_PLAIN)
+                return False
+            query.reply(self._keys[name], reply, express=True)
+            return name == "reset"
+
+    def _carry_out(self, name: str, payload: bytes) -> bytes:
+        if name == "reset":
+            return self._lay_out(payload)
+        if name == "panel":
+            return self.panel.press(payload)
+        if name == "truth":
+            return json.dumps(self._controller.plant.truth()).encode()
+        return self._info()
+
+    def _lay_out(self, payload: bytes) -> bytes:
+        """Begin an episode; the reply is its first camera frame. Programs run on, the arm stands at the start pose."""
+        task = answers.read_task(payload)
+        try:
+            self._controller.plant.lay_out(task)
+        except ValueError as error:
+            raise answers.RequestError(f"reset: {error}") from error
+        self._episode += 1
+        self._ticks = 1  # the frame of tick 0 is the reply
+        return self.frame()
+
+    def _info(self) -> bytes:
+        document = {
+            "version": wire.VERSION,
+            "mode": "ur-controller",
+            "epoch": self.epoch,
+            "tick_s": wire.TICK_S,
+            "part": self._controller.plant.part,
+            "controller": ".".join(map(str, self._controller.versions)),
+            "ports": asdict(self._server.ports),
+            "state": _state(self._controller),
+            "degraded": self._degraded,
+            "counters": asdict(self._server.counters),
+        }
+        return json.dumps(document).encode()
+
+
+def _state(controller: Controller) -> dict[str, str | bool]:
+    return {
+        "robot_mode": controller.robot_mode.name,
+        "safety_mode": controller.safety_mode.name,
+        "runtime_state": controller.runtime_state.name,
+        "remote_control": controller.remote_control,
+    }
