@@ -1,0 +1,284 @@
+"""Dashboard server, TCP 29999: lines of text by which a host plays programs, powers the arm and asks its modes.
+
+Commands, replies and which of them need remote control are those of the vendor's dashboard document for e-Series, as
+checked by the vendor's own clients; the refusal outside remote control is as quoted from robots in the field.
+"""
+
+from collections import deque
+from collections.abc import Callable
+
+from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.events import Refused
+from sim_backend.ur_controller.listener import Connection
+from sim_backend.ur_controller.safety import RuntimeState
+
+BANNER = "Connected: Universal Robots Dashboard Server"
+NOT_REMOTE = (
+    "Command is not allowed due to safety reasons, "
+    "please switch robot to Remote Control mode and reconnect to port 29999"
+)
+UNNAMED = "<unnamed>"  # a program that was never saved: none loaded, or sent to a script port
+PROGRAM_FOLDER = "/programs/"
+INSTALLATIONS = ("default.installation",)
+BUILD_DATE = "Mar 12 2025"
+
+LOG_LINES = 1000
+REPORTS_KEPT = 16
+_LINE_BYTES = 4096  # a peer that sends more without a line's end is no dashboard client
+
+_MODEL_NAMES = {1: "UR5", 2: "UR10", 3: "UR3", 4: "UR16", 7: "UR20", 8: "UR30"}
+_STATE_WORDS = {RuntimeState.STOPPED: "STOPPED", RuntimeState.PAUSED: "PAUSED"}
+_OPERATIONAL_MODES = ("MANUAL", "AUTOMATIC")
+_REPORT_KINDS = ("", "controller", "software", "system")
+
+
+class DashboardService:
+    """Answers each line with one line.
+
+    Attributes:
+        popup: text of the message on the screen; None when there is none.
+        log: newest lines of the log, as `addToLog` wrote them.
+        reports: the newest flight reports and support files by name; they are kept here and written nowhere.
+        operational_mode: as set from here; None while the dashboard does not control it.
+        shutdown_requested: a client has asked the controller to shut down.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self.popup: str | None = None
+        self.log: deque[str] = deque(maxlen=LOG_LINES)
+        self.reports: dict[str, str] = {}
+        self.operational_mode: str | None = None
+        self.shutdown_requested = False
+        self._controller = controller
+        self._lines: dict[Connection, bytearray] = {}
+        self._was_remote: dict[Connection, bool] = {}
+        self._remote_only: dict[str, Callable[[str], str]] = {
+            "load installation": self._load_installation,
+            "load": self._load,
+            "play": self._play,
+            "stop": self._stop,
+            "pause": self._pause,
+            "shutdown": self._shutdown,
+            "power on": self._doing(controller.power_on, "Powering on"),
+            "power off": self._doing(controller.power_off, "Powering off"),
+            "brake release": self._doing(controller.brake_release, "Brake releasing"),
+            "unlock protective stop": self._doing(controller.unlock_protective_stop, "Protective stop releasing"),
+            "restart safety": self._doing(controller.restart_safety, "Restarting safety"),
+        }
+        self._always: dict[str, Callable[[str], str]] = {
+            "close safety popup": self._doing(controller.close_safety_popup, "closing safety popup"),
+            "running": lambda _: f"Program running: {self._word(self._is_running)}",
+            "robotmode": lambda _: f"Robotmode: {controller.robot_mode.name}",
+            "safetymode": lambda _: f"Safetymode: {controller.safety_mode.name}",
+            "safetystatus": lambda _: f"Safetystatus: {controller.safety_mode.name}",
+            "programstate": self._program_state,
+            "get loaded program": self._loaded_program,
+            "isprogramsaved": self._is_program_saved,
+            "popup": self._show_popup,
+            "close popup": self._close_popup,
+            "addtolog": self._add_to_log,
+            "savelog": lambda _: "Log saved to disk",
+            "polyscopeversion": lambda _: f"URSoftware {self._version} ({BUILD_DATE})",
+            "version": lambda _: self._version,
+            "get robot model": lambda _: _MODEL_NAMES[controller.robot_type],
+            "get serial number": lambda _: controller.serial,
+            "is in remote control": lambda _: self._word(
+                controller.remote_control_enabled and controller.remote_control
+            ),
+            "set operational mode": self._set_operational_mode,
+            "get operational mode": lambda _: self.operational_mode or "NONE",
+            "clear operational mode": self._clear_operational_mode,
+            "generate flight report": self._flight_report,
+            "generate support file": self._support_file,
+        }
+        # Longest first: `load` also begins `load installation`.
+        self._names = sorted((*self._remote_only, *self._always), key=len, reverse=True)
+
+    def on_connect(self, connection: Connection) -> None:
+        """Greet."""
+        self._lines[connection] = bytearray()
+        self._was_remote[connection] = self._is_remote
+        _reply(connection, BANNER)
+
+    def on_data(self, connection: Connection, data: bytes) -> None:
+        """Answer every complete line; the rest waits for its end."""
+        buffer = self._lines[connection]
+        buffer += data
+        *lines, rest = buffer.split(b"\n")
+        self._lines[connection] = rest
+        for line in lines:
+            command = line.decode("utf-8", "replace").strip()
+            if command.lower() == "quit":
+                _reply(connection, "Disconnected")
+                connection.close()
+                return
+            if command:
+                _reply(connection, self.answer(command, may_command=self._was_remote[connection] and self._is_remote))
+        if len(rest) > _LINE_BYTES:
+            connection.close()
+
+    def on_close(self, connection: Connection) -> None:
+        """Forget the peer."""
+        del self._lines[connection], self._was_remote[connection]
+
+    def publish(self) -> None:
+        """Nothing is sent unasked."""
+
+    def answer(self, command: str, *, may_command: bool = True) -> str:
+        """Carry out one command.
+
+        Args:
+            command: the line without its end; names are not case-sensitive.
+            may_command: the peer may do what needs remote control. A connection opened in local control may not, even
+                after the switch was turned: it has to connect again.
+
+        Returns:
+            The line that answers it.
+        """
+        folded = command.lower()
+        for name in self._names:
+            if folded == name or folded.startswith(name + " "):
+                argument = command[len(name) :].strip()
+                if name in self._always:
+                    return self._always[name](argument)
+                return self._remote_only[name](argument) if may_command else NOT_REMOTE
+        return f"could not understand: '{command}'"
+
+    # --- programs ---------------------------------------------------------------------------------------------------
+
+    def _load(self, argument: str) -> str:
+        name = _file_name(argument)
+        if name not in self._controller.programs:
+            return f"File not found: {argument}"
+        try:
+            self._controller.load(name)
+        except Refused:
+            return f"Error while loading program: {argument}"
+        return f"Loading program: {argument}"
+
+    def _play(self, _: str) -> str:
+        try:
+            self._controller.play()
+        except Refused:
+            return "Failed to execute: play"
+        return "Starting program"
+
+    def _stop(self, _: str) -> str:
+        if self._controller.runtime_state is RuntimeState.STOPPED:
+            return "Failed to execute: stop"
+        self._controller.stop_program()
+        return "Stopped"
+
+    def _pause(self, _: str) -> str:
+        try:
+            self._controller.pause()
+        except Refused:
+            return "Failed to execute: pause"
+        return "Pausing program"
+
+    def _load_installation(self, argument: str) -> str:
+        if _file_name(argument) not in INSTALLATIONS:
+            return f"File not found: {argument}"
+        return f"Loading installation: {argument}"
+
+    @property
+    def _program(self) -> str:
+        return self._controller.loaded_program or UNNAMED
+
+    @property
+    def _is_running(self) -> bool:
+        return self._controller.runtime_state not in (RuntimeState.STOPPED, RuntimeState.PAUSED)
+
+    def _program_state(self, _: str) -> str:
+        return f"{_STATE_WORDS.get(self._controller.runtime_state, 'PLAYING')} {self._program}"
+
+    def _loaded_program(self, _: str) -> str:
+        name = self._controller.loaded_program
+        return f"Loaded program: {PROGRAM_FOLDER}{name}" if name else "No program loaded"
+
+    def _is_program_saved(self, _: str) -> str:
+        return f"{self._word(self._controller.loaded_program is not None)} {self._program}"
+
+    # --- messages and reports ---------------------------------------------------------------------------------------
+
+    def _show_popup(self, text: str) -> str:
+        self.popup = text
+        return "showing popup"
+
+    def _close_popup(self, _: str) -> str:
+        self.popup = None
+        self._controller.close_popup()
+        return "closing popup"
+
+    def _add_to_log(self, text: str) -> str:
+        if not text:
+            return "No log message to add"
+        self.log.append(text)
+        return "Added log message"
+
+    def _flight_report(self, kind: str) -> str:
+        if kind.lower() not in _REPORT_KINDS:
+            return f"Unknown flight report type: {kind}. Supported types: controller, software, system"
+        return f"Flight Report generated with id: {self._report(kind.lower() or 'system')}"
+
+    def _support_file(self, _: str) -> str:
+        return f"Completed successfully: {self._report(f'ur_{self._controller.serial}')}.zip"
+
+    def _report(self, prefix: str) -> str:
+        """Keep what a report says; what is older than `REPORTS_KEPT` goes."""
+        name = f"{prefix}_{self._controller.time_s:.3f}"
+        lines = (
+            self.answer(question) for question in ("PolyscopeVersion", "robotmode", "safetystatus", "programState")
+        )
+        self.reports[name] = "\n".join((*lines, *self.log))
+        while len(self.reports) > REPORTS_KEPT:
+            del self.reports[next(iter(self.reports))]
+        return name
+
+    # --- modes ------------------------------------------------------------------------------------------------------
+
+    def _set_operational_mode(self, argument: str) -> str:
+        mode = argument.upper()
+        if mode not in _OPERATIONAL_MODES:
+            return f"Failed setting operational mode: {argument}"
+        self.operational_mode = mode
+        return f"Operational mode {mode} is set"
+
+    def _clear_operational_mode(self, _: str) -> str:
+        self.operational_mode = None
+        return "No longer controlling the operational mode. Current operational mode: 'NONE'."
+
+    def _shutdown(self, _: str) -> str:
+        self._controller.power_off()
+        self.shutdown_requested = True
+        return "Shutting down"
+
+    @property
+    def _version(self) -> str:
+        return ".".join(str(part) for part in self._controller.versions)
+
+    @property
+    def _is_remote(self) -> bool:
+        """With the function switched off in the settings, the robot takes commands from the pendant and the network."""
+        return self._controller.remote_control or not self._controller.remote_control_enabled
+
+    def _doing(self, action: Callable[[], None], reply: str) -> Callable[[str], str]:
+        def run(_: str) -> str:
+            try:
+                action()
+            except Refused as refused:
+                return str(refused)
+            return reply
+
+        return run
+
+    def _word(self, value: bool) -> str:
+        return "true" if value else "false"
+
+
+def _file_name(path: str) -> str:
+    return path.rsplit("/", 1)[-1]
+
+
+def _reply(connection: Connection, line: str) -> None:
+    connection.send(line.encode() + b"\n")

@@ -1,0 +1,173 @@
+"""A Robotiq 2F-85 and the server of its URCap on the controller, TCP 63352: lines of SET and GET.
+
+Variables and their meaning are those of the gripper's manual: a position request `POS` counts from 0, open, to 255,
+closed; the fingers end at 3 and 230, 85 mm and 0 mm apart. The world's peg is fastened to the flange whatever the
+fingers do: they are modelled in time and report what they meet, and that is all.
+"""
+
+from sim_backend.protocol.wire import TICK_S
+from sim_backend.ur_controller.listener import Connection
+
+STROKE_MM = 85.0
+POS_OPEN, POS_CLOSED = 3, 230
+"""Counts at the mechanical ends."""
+SPEED_MM_S = (20.0, 150.0)
+FORCE_N = (20.0, 235.0)
+"""At SPE or FOR 0 and 255."""
+PEG_WIDTH_MM = 28.0
+
+RESET, ACTIVATING, ACTIVE = 0, 1, 3
+"""STA."""
+MOVING, MET_OPENING, MET_CLOSING, ARRIVED = 0, 1, 2, 3
+"""OBJ: what ended the last motion."""
+NO_FAULT, ACTIVATION_RUNS, NOT_ACTIVATED, RELEASING, RELEASED = 0, 5, 7, 11, 15
+"""FLT."""
+
+_RELEASE_SPEED_MM_S = SPEED_MM_S[0]
+_COUNT_MM = STROKE_MM / (POS_CLOSED - POS_OPEN)
+_LINE_BYTES = 1024
+_SETTABLE = ("ACT", "GTO", "ATR", "ARD", "FOR", "SPE", "POS", "MOD", "SID")
+_BITS = ("ACT", "GTO", "ATR", "ARD")
+
+
+class Gripper:
+    """Fingers that move as fast as told, stop at an object, and hold it.
+
+    Args:
+        object_mm: width of what stands between the fingers; None for nothing.
+        is_active: activated before, and closed on that object; otherwise as after switching on.
+
+    Attributes:
+        opening_mm: distance between the fingertips.
+        object_mm: may be changed; a gripper that loses its object closes on.
+    """
+
+    def __init__(self, object_mm: float | None = PEG_WIDTH_MM, *, is_active: bool = True) -> None:
+        self.object_mm = object_mm
+        self.opening_mm = STROKE_MM
+        self._set = dict.fromkeys(_SETTABLE, 0) | {"SPE": 255, "SID": 9}
+        self._status = RESET
+        self._object = ARRIVED
+        self._fault = NO_FAULT
+        self._way: list[float] = []
+        if is_active:
+            self.opening_mm = object_mm or 0.0
+            self._status = ACTIVE
+            self._set |= {"ACT": 1, "GTO": 1, "POS": 255}
+            self._object = ARRIVED if object_mm is None else MET_CLOSING
+
+    @property
+    def force_n(self) -> float:
+        """Force on the object that is held; 0 when there is none."""
+        low, high = FORCE_N
+        return low + (high - low) * self._set["FOR"] / 255 if self._object == MET_CLOSING else 0.0
+
+    def get(self, name: str) -> int | None:
+        """Value of a variable; None for one that does not exist."""
+        readings = {"STA": self._status, "OBJ": self._object, "FLT": self._fault, "PRE": self._set["POS"]}
+        if name == "POS":
+            return round(POS_CLOSED - self.opening_mm / _COUNT_MM)
+        return readings.get(name, self._set.get(name))
+
+    def set(self, name: str, value: int) -> bool:
+        """Write a variable; returns False, and changes nothing, where it cannot be written or not with that value."""
+        if name not in self._set or not 0 <= value <= (1 if name in _BITS else 255):
+            return False
+        before, self._set[name] = self._set[name], value
+        if name == "ACT" and value != before:
+            self._reset()
+            if value:
+                self._status = ACTIVATING
+                self._way = [0.0, STROKE_MM]
+        elif name == "ATR" and value and self._status == ACTIVE:
+            self._fault = RELEASING
+        elif name in ("POS", "GTO") and self._set["GTO"] and self._fault not in (RELEASING, RELEASED):
+            self._start()
+        return True
+
+    def tick(self) -> None:
+        """Let 2 ms pass."""
+        if self._fault == RELEASING:
+            if self._move(STROKE_MM if self._set["ARD"] else 0.0, _RELEASE_SPEED_MM_S):
+                self._fault = RELEASED
+        elif self._status == ACTIVATING:
+            if self._move(self._way[0], self._speed):
+                del self._way[0]
+                if not self._way:
+                    self._status, self._fault = ACTIVE, NO_FAULT
+                    self._object = ARRIVED
+        elif self._status == ACTIVE and self._set["GTO"] and self._fault == NO_FAULT:
+            self._move(_COUNT_MM * (POS_CLOSED - self._set["POS"]), self._speed)
+
+    @property
+    def _speed(self) -> float:
+        low, high = SPEED_MM_S
+        return low + (high - low) * self._set["SPE"] / 255
+
+    def _start(self) -> None:
+        """A motion is asked for."""
+        if self._status == ACTIVE:
+            self._object = MOVING
+        else:
+            self._fault = ACTIVATION_RUNS if self._status == ACTIVATING else NOT_ACTIVATED
+
+    def _move(self, opening_mm: float, speed_mm_s: float) -> bool:
+        """Go on towards an opening; returns whether the fingers have come to rest."""
+        wanted = min(max(opening_mm, 0.0), STROKE_MM)
+        step = speed_mm_s * TICK_S
+        reached = min(max(wanted, self.opening_mm - step), self.opening_mm + step)
+        if self.object_mm is not None and reached < self.object_mm <= self.opening_mm:
+            self.opening_mm, self._object = self.object_mm, MET_CLOSING
+            return True
+        self.opening_mm = reached
+        self._object = ARRIVED if reached == wanted else MOVING
+        return reached == wanted
+
+    def _reset(self) -> None:
+        self._status, self._object, self._fault = RESET, ARRIVED, NO_FAULT
+        self._way = []
+        self._set |= {"GTO": 0, "ATR": 0}
+
+
+class GripperService:
+    """Answers SET with `ack`, without a line's end, and GET with name and value; anything else with `?`."""
+
+    def __init__(self, gripper: Gripper) -> None:
+        self._gripper = gripper
+        self._lines: dict[Connection, bytes] = {}
+
+    def on_connect(self, connection: Connection) -> None:
+        """Wait for a request."""
+        self._lines[connection] = b""
+
+    def on_data(self, connection: Connection, data: bytes) -> None:
+        """Answer every complete line, all in one piece."""
+        *lines, rest = (self._lines[connection] + data).split(b"\n")
+        self._lines[connection] = rest
+        if replies := b"".join(self._answer(line.decode("ascii", "replace").split()) for line in lines):
+            connection.send(replies)
+        if len(rest) > _LINE_BYTES:
+            connection.close()
+
+    def on_close(self, connection: Connection) -> None:
+        """Forget the peer."""
+        del self._lines[connection]
+
+    def publish(self) -> None:
+        """The fingers move with the arm's time."""
+        self._gripper.tick()
+
+    def _answer(self, words: list[str]) -> bytes:
+        match [word.upper() for word in words]:
+            case ["SET", *pairs] if pairs and len(pairs) % 2 == 0:
+                done = [self._set(name, value) for name, value in zip(pairs[::2], pairs[1::2], strict=True)]
+                return b"ack" if all(done) else b"?\n"
+            case ["GET", name] if (value := self._gripper.get(name)) is not None:
+                return f"{name} {value}\n".encode()
+            case []:
+                return b""
+            case _:
+                return b"?\n"
+
+    def _set(self, name: str, value: str) -> bool:
+        return value.isdecimal() and self._gripper.set(name, int(value))

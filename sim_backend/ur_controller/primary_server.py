@@ -1,0 +1,277 @@
+"""Script ports, TCP 30001 to 30003: take programs and commands, and tell what the robot does.
+
+The primary port (30001) sends the robot's state at 10 Hz and messages as they come, the secondary port (30002) the
+state alone, the real-time port (30003) one package of doubles per tick.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Literal
+
+from sim_backend.kinematics import UR3E
+from sim_backend.protocol.primary import messages, realtime, state
+from sim_backend.protocol.primary.messages import ErrorCode, Message, ReportLevel, Source
+from sim_backend.protocol.primary.packages import STATE_HZ, PackageType, frame
+from sim_backend.protocol.wire import TICK_S
+from sim_backend.ur_controller import events
+from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.events import Event, Refused
+from sim_backend.ur_controller.listener import Connection
+from sim_backend.ur_controller.program_reader import ProgramReader, ProgramTooLongError
+from sim_backend.ur_controller.safety import RobotMode, RuntimeState, SafetyMode
+
+Kind = Literal["primary", "secondary", "realtime"]
+
+BUILD_DATE = "12-03-2025, 10:00:00"
+PROTECTIVE_STOP = 160
+"""Error code by which a protective stop is reported; which one a robot gives depends on the cause."""
+
+_STATE_TICKS = round(1.0 / (STATE_HZ * TICK_S))
+_EMERGENCIES = (SafetyMode.SYSTEM_EMERGENCY_STOP, SafetyMode.ROBOT_EMERGENCY_STOP)
+
+_SLOWEST_ACCELERATION = 40.0  # rad/s², as a UR reports it
+_CONFIGURATION = state.Configuration(
+    joint_position_limits=tuple(
+        sign * (2.0 * math.pi if math.isinf(joint.range_rad) else joint.range_rad) for joint in UR3E for sign in (-1, 1)
+    ),
+    joint_motion_limits=tuple(limit for joint in UR3E for limit in (joint.speed_rad_s, _SLOWEST_ACCELERATION)),
+    joint_speed_default=math.radians(60.0),
+    joint_acceleration_default=math.radians(80.0),
+    tool_speed_default=0.25,
+    tool_acceleration_default=1.2,
+    equivalent_radius=0.25,
+    a=tuple(joint.a_m for joint in UR3E),
+    d=tuple(joint.d_m for joint in UR3E),
+    alpha=tuple(joint.alpha_rad for joint in UR3E),
+    theta=(0.0,) * 6,
+    masterboard_version=6,
+    controller_box_type=4,
+    robot_type=3,
+    robot_sub_type=1,
+)
+_KINEMATICS = state.Kinematics(
+    checksum=(0xFFFFFFFF,) * 6,  # the nominal parameters, not a calibration
+    theta=_CONFIGURATION.theta,
+    a=_CONFIGURATION.a,
+    d=_CONFIGURATION.d,
+    alpha=_CONFIGURATION.alpha,
+)
+
+
+class PrimaryService:
+    """One of the script ports.
+
+    A connection that was opened in local control cannot command, even after the switch was turned: it has to connect
+    again. On the primary port it is told so.
+    """
+
+    def __init__(self, controller: Controller, kind: Kind) -> None:
+        self._controller = controller
+        self._kind: Kind = kind
+        self._readers: dict[Connection, ProgramReader] = {}
+        self._writable: dict[Connection, bool] = {}
+        self._ticks = 0
+        self._unlock_asked = False
+        self._commands: dict[str, Callable[[], None]] = {
+            "power on": controller.power_on,
+            "power off": controller.power_off,
+            "set robotmode run": controller.brake_release,
+            "set unlock protective stop": self._ask_unlock,
+            "stop program": controller.stop_program,
+            "pause program": controller.pause,
+            "resume program": controller.play,
+        }
+        self._package = {"primary": self._state, "secondary": self._state, "realtime": self._realtime}[kind]
+        self._period = 1 if kind == "realtime" else _STATE_TICKS
+        self._realtime_getters = [
+            (controller.output_getter(name) if name else None, count) for name, count in realtime.FIELDS
+        ]
+        self._get = {name: controller.output_getter(name) for name in _STATE_OUTPUTS}
+        if kind == "primary":
+            controller.events.append(self._on_event)
+
+    def on_connect(self, connection: Connection) -> None:
+        """Introduce the controller and send its state."""
+        connection.patient = True  # a client that uploads scripts only may never read
+        self._readers[connection] = ProgramReader()
+        self._writable[connection] = self._is_remote
+        if self._kind != "realtime":
+            version = messages.Version("URControl", *self._controller.versions, BUILD_DATE)
+            connection.send(self._framed(version))
+            connection.send(self._package())
+
+    def on_data(self, connection: Connection, data: bytes) -> None:
+        """Run every program that is complete."""
+        try:
+            for program in self._readers[connection].feed(data):
+                self._run(connection, program)
+        except ProgramTooLongError:
+            connection.close()
+
+    def on_close(self, connection: Connection) -> None:
+        """Run what a client sent last and whole, then forget it."""
+        for program in self._readers[connection].finish():
+            self._run(connection, program)
+        del self._readers[connection], self._writable[connection]
+
+    def publish(self) -> None:
+        """Send what is due to those who have read what they got before."""
+        if self._unlock_asked:
+            self._unlock()
+        self._ticks += 1
+        if self._ticks % self._period == 0:
+            self._send_to_all(self._package)
+
+    def _send_to_all(self, package: Callable[[], bytes]) -> None:
+        reading = [connection for connection in self._readers if not connection.pending]
+        if reading:
+            data = package()
+            for connection in reading:
+                connection.send(data)
+
+    # --- commands ---------------------------------------------------------------------------------------------------
+
+    @property
+    def _is_remote(self) -> bool:
+        return self._controller.remote_control or not self._controller.remote_control_enabled
+
+    def _run(self, connection: Connection, program: str) -> None:
+        if not (self._is_remote and self._writable[connection]):
+            text = "The connection is read-only: it was opened, or the robot is, in local control"
+            self._complain(connection, ErrorCode(ErrorCode.READ_ONLY, 0, ReportLevel.VIOLATION, text))
+            return
+        command = self._commands.get(" ".join(program.lower().split()))
+        try:
+            if command is not None:
+                command()
+            else:
+                self._controller.run_script(program)
+        except Refused as refused:
+            self._complain(connection, ErrorCode(0, 0, ReportLevel.WARNING, str(refused)))
+
+    def _complain(self, connection: Connection, error: ErrorCode) -> None:
+        if self._kind == "primary":  # the other ports have no messages
+            connection.send(self._framed(error))
+
+    def _ask_unlock(self) -> None:
+        """Unlock, or keep the wish until the stop is old enough: the port has no way to say that it came too early."""
+        self._unlock_asked = True
+        self._unlock()
+
+    def _unlock(self) -> None:
+        if self._controller.safety_mode is SafetyMode.PROTECTIVE_STOP:
+            try:
+                self._controller.unlock_protective_stop()
+            except Refused:
+                return
+        self._unlock_asked = False
+
+    # --- messages ---------------------------------------------------------------------------------------------------
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, events.SafetyChanged):
+            # Whoever waits for the mode shall not read an older one after this message.
+            self._send_to_all(self._state)
+        for source, message in _messages(event):
+            data = self._framed(message, source)
+            for connection in self._readers:
+                connection.send(data)
+
+    def _framed(self, message: Message, source: int = Source.ROBOT_INTERFACE) -> bytes:
+        return frame(PackageType.ROBOT_MESSAGE, messages.encode_message(message, self._time_us, source))
+
+    @property
+    def _time_us(self) -> int:
+        return round(self._controller.time_s * 1e6)
+
+    # --- states -----------------------------------------------------------------------------------------------------
+
+    def _state(self) -> bytes:
+        controller, get = self._controller, self._get
+        vectors: list[Sequence[Any]] = [get[name]() for name in _JOINT_OUTPUTS]
+        mode = state.RobotMode(
+            timestamp_us=self._time_us,
+            is_real_robot_connected=True,
+            is_real_robot_enabled=True,
+            is_power_on=controller.robot_mode >= RobotMode.POWER_ON,
+            is_emergency_stopped=controller.safety_mode in _EMERGENCIES,
+            is_protective_stopped=controller.safety_mode is SafetyMode.PROTECTIVE_STOP,
+            is_program_running=controller.runtime_state in (RuntimeState.PLAYING, RuntimeState.RESUMING),
+            is_program_paused=controller.runtime_state in (RuntimeState.PAUSING, RuntimeState.PAUSED),
+            robot_mode=controller.robot_mode,
+            target_speed_fraction=get["target_speed_fraction"](),
+            speed_scaling=get["speed_scaling"](),
+        )
+        joints = state.Joints(tuple(state.Joint(*values) for values in zip(*vectors, strict=True)))
+        masterboard = state.Masterboard(
+            digital_inputs=get["actual_digital_input_bits"]() & 0xFFFFFFFF,
+            digital_outputs=get["actual_digital_output_bits"]() & 0xFFFFFFFF,
+            analog_input_range_0=1,
+            analog_input_range_1=1,
+            analog_input_0=get["standard_analog_input0"](),
+            analog_input_1=get["standard_analog_input1"](),
+            analog_output_domain_0=1,
+            analog_output_domain_1=1,
+            analog_output_0=get["standard_analog_output0"](),
+            analog_output_1=get["standard_analog_output1"](),
+            temperature=25.0,
+            robot_voltage=get["actual_robot_voltage"](),
+            robot_current=get["actual_robot_current"](),
+            io_current=get["io_current"](),
+            safety_mode=controller.safety_mode,
+            is_reduced=controller.safety_mode is SafetyMode.REDUCED,
+        )
+        cartesian = state.Cartesian(tuple(get["actual_TCP_pose"]()), tuple(get["tcp_offset"]()))
+        force = state.ForceMode(tuple(get["actual_TCP_force"]()))
+        parts = (
+            *(mode, joints, cartesian, _KINEMATICS, masterboard, state.Tool(), _CONFIGURATION, force),
+            *(state.Additional(), state.ToolCommunication(), state.ToolMode()),
+        )
+        return frame(PackageType.ROBOT_STATE, state.encode_state(parts))
+
+    def _realtime(self) -> bytes:
+        values: list[float] = []
+        for getter, count in self._realtime_getters:
+            if getter is None:
+                values += (0.0,) * count
+            elif count == 1:
+                values.append(getter())
+            else:
+                values.extend(getter())
+        return realtime.encode(values)
+
+
+_JOINT_OUTPUTS = (
+    *("actual_q", "target_q", "actual_qd", "actual_current", "actual_joint_voltage", "joint_temperatures"),
+    # the temperature of a joint's electronics is not modelled apart from its motor's
+    *("joint_temperatures", "joint_mode"),
+)
+_STATE_OUTPUTS = (
+    *_JOINT_OUTPUTS,
+    *("target_speed_fraction", "speed_scaling", "actual_digital_input_bits", "actual_digital_output_bits"),
+    *("standard_analog_input0", "standard_analog_input1", "standard_analog_output0", "standard_analog_output1"),
+    *("actual_robot_voltage", "actual_robot_current", "io_current"),
+    *("actual_TCP_pose", "tcp_offset", "actual_TCP_force"),
+)
+
+
+def _messages(event: Event) -> Iterable[tuple[int, Message]]:
+    """What the primary port says of an event."""
+    match event:
+        case events.ProgramStarted(name):
+            yield Source.ROBOT_INTERFACE, messages.Key(messages.PROGRAM_STARTED, name)
+        case events.ProgramStopped(name):
+            yield Source.ROBOT_INTERFACE, messages.Key(messages.PROGRAM_STOPPED, name)
+        case events.CompileFailed(line, column, text) | events.RuntimeFailed(line, column, _, text):
+            yield Source.RUNTIME, messages.RuntimeException(line, column, text)
+        case events.Text(text):
+            yield Source.RUNTIME, messages.Text(text)
+        case events.Popup(text, title, warning, error, blocking):
+            yield Source.RUNTIME, messages.Popup(title, text, warning, error, blocking)
+        case events.SafetyChanged(mode, reason):
+            yield Source.RUNTIME, messages.SafetyMode(mode)
+            if mode is SafetyMode.PROTECTIVE_STOP:
+                yield Source.RUNTIME, ErrorCode(PROTECTIVE_STOP, 0, ReportLevel.WARNING, reason)
+            elif mode in (SafetyMode.VIOLATION, SafetyMode.FAULT):
+                level = ReportLevel.VIOLATION if mode is SafetyMode.VIOLATION else ReportLevel.FAULT
+                yield Source.RUNTIME, ErrorCode(0, 0, level, reason)
