@@ -119,7 +119,8 @@ class ControllerServer:
                 metronome.restart()
 
     def close(self) -> None:
-        """Disconnect every client and free the ports."""
+        """End the controller's programs, disconnect every client and free the ports."""
+        self._controller.close()
         self._listener.close()
 
     def _count(self, metronome: Metronome) -> None:
