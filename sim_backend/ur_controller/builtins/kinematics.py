@@ -1,0 +1,114 @@
+"""URScript's kinematics, and the targets of the motion."""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sim_backend import kinematics
+from sim_backend.kinematics import JOINT_RANGE_RAD, KinematicsError
+from sim_backend.ur_controller.geometry import compose, invert, rotation_of
+from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Value
+from sim_backend.ur_controller.script.values import number, pose, vector
+
+from .motion import NO_SOLUTION
+
+if TYPE_CHECKING:
+    from sim_backend.ur_controller.controller import Controller
+
+ACTIVE_TCP = "active_tcp"
+_MEASURED: list[float] = []
+"""Default of joint angles that a script leaves out: those measured now."""
+
+
+def kinematics_builtins(controller: "Controller") -> dict[str, Builtin]:
+    """The kinematic functions of one controller, by the names that scripts call."""
+    motion = controller.motion
+    plant = controller.plant
+
+    def offset_of(tcp: Value) -> Sequence[float]:
+        return plant.tcp_offset if tcp == ACTIVE_TCP else pose(tcp, "tcp")
+
+    def solve(x: Value, qnear: Value, tcp: Value) -> list[float] | None:
+        near = plant.q.tolist() if qnear == _MEASURED else vector(qnear, 6, "qnear")
+        flange = compose(pose(x, "x"), invert(offset_of(tcp)))
+        rotation = np.array(rotation_of(flange[3], flange[4], flange[5])).reshape(3, 3)
+        try:
+            return kinematics.inverse(np.array(flange[:3]), rotation, np.array(near)).tolist()
+        except KinematicsError:
+            return None
+
+    def get_inverse_kin(
+        x: Value,
+        qnear: Value = _MEASURED,
+        maxPositionError: Value = 1e-10,  # noqa: N803 - the manual's name
+        maxOrientationError: Value = 1e-10,  # noqa: N803 - the manual's name
+        tcp: Value = ACTIVE_TCP,
+    ) -> list[float]:
+        _errors(maxPositionError, maxOrientationError)
+        q = solve(x, qnear, tcp)
+        if q is None:
+            raise ScriptRuntimeError(NO_SOLUTION)
+        return q
+
+    def get_inverse_kin_has_solution(
+        pose: Value,
+        qnear: Value = _MEASURED,
+        maxPositionError: Value = 1e-10,  # noqa: N803 - the manual's name
+        maxOrientationError: Value = 1e-10,  # noqa: N803 - the manual's name
+        tcp: Value = ACTIVE_TCP,
+    ) -> bool:
+        _errors(maxPositionError, maxOrientationError)
+        return solve(pose, qnear, tcp) is not None
+
+    def get_forward_kin(q: Value = _MEASURED, tcp: Value = ACTIVE_TCP) -> Pose:
+        angles = plant.q.tolist() if q == _MEASURED else vector(q, 6, "q")
+        return Pose(compose(plant.flange_pose_of(angles), offset_of(tcp)))
+
+    def get_jacobian(q: Value = _MEASURED, tcp: Value = ACTIVE_TCP) -> list[list[float]]:
+        angles = plant.q.tolist() if q == _MEASURED else vector(q, 6, "q")
+        return kinematics.jacobian(angles, offset_of(tcp)[:3]).tolist()
+
+    def get_target_tcp_pose() -> Pose:
+        return Pose(motion.target_tcp_pose())
+
+    def get_target_tcp_speed() -> list[float]:
+        return motion.target_tcp_speed()
+
+    def get_target_joint_positions() -> list[float]:
+        return motion.q_target.tolist()
+
+    def get_target_joint_speeds() -> list[float]:
+        return motion.qd_target.tolist()
+
+    def get_target_joint_accelerations() -> list[float]:
+        return motion.qdd_target.tolist()
+
+    def get_target_waypoint() -> Pose:
+        return Pose(motion.waypoint())
+
+    def is_within_safety_limits(x: Value) -> bool:
+        if type(x) is Pose:
+            return motion.reachable(x)
+        return bool((np.abs(vector(x, 6, "x")) <= JOINT_RANGE_RAD).all())
+
+    functions: tuple[Callable[..., Any], ...] = (
+        get_inverse_kin,
+        get_inverse_kin_has_solution,
+        get_forward_kin,
+        get_jacobian,
+        get_target_tcp_pose,
+        get_target_tcp_speed,
+        get_target_joint_positions,
+        get_target_joint_speeds,
+        get_target_joint_accelerations,
+        get_target_waypoint,
+        is_within_safety_limits,
+    )
+    return {function.__name__: Builtin.of(function) for function in functions}
+
+
+def _errors(position: Value, orientation: Value) -> None:
+    """The errors that a numerical solution may have; this one is exact."""
+    number(position, "maxPositionError")
+    number(orientation, "maxOrientationError")

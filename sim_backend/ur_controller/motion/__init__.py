@@ -1,0 +1,5 @@
+"""Motion of the emulated arm: movers, force mode, and the joint target that they make."""
+
+from .motion import Motion
+
+__all__ = ["Motion"]

@@ -1,0 +1,457 @@
+"""Where the arm is told to be: the joint target of every tick, made by whichever mover a script has started."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from sim_backend.kinematics import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S, KinematicsError, singularity_margin
+from sim_backend.protocol.wire import TICK_S
+from sim_backend.ur_controller.geometry import (
+    Rotation,
+    Vector,
+    flange_of,
+    multiply,
+    rotate,
+    rotation_of,
+    rotvec_of,
+    transpose,
+)
+from sim_backend.ur_controller.plant import Plant
+
+from .cartesian import Arc, Line, PathMover, ServoC, SpeedL, standing
+from .contact import ContactMemory
+from .differential import joint_rates, tool_twist
+from .force import DEFAULT_DAMPING, DEFAULT_GAIN, ForceMode
+from .joint import MoveJ, ServoJ, SpeedJ, leading_speed
+from .mover import JointMover, Mover, ToolMover
+from .profile import Trapezoid
+
+Array = npt.NDArray[np.float64]
+
+HOLD_RAD_S2 = 10.0
+"""Leading axis' deceleration of a motion that nobody commands any more."""
+SLIDER_STEP = TICK_S / 0.1
+"""Largest change of the speed fraction per tick: the arm speeds up and slows down with the slider, without a jerk."""
+STEADY_TICKS = 50
+FREEDRIVE_SPEED = 0.25
+"""Largest speed by hand along an axis when others are locked, m/s and rad/s."""
+NEAR_SINGULARITY, TOO_NEAR_SINGULARITY = 0.2, 0.05
+"""Margins, as `kinematics.singularity_margin`, at which the status of freedrive changes. An assumption."""
+
+_RANGE: tuple[float, ...] = tuple(JOINT_RANGE_RAD.tolist())
+_SPEED: tuple[float, ...] = tuple(JOINT_SPEED_RAD_S.tolist())
+_REST = np.zeros(6)
+_REST.setflags(write=False)
+
+
+class Motion:
+    """The joint target of one arm.
+
+    One mover runs at a time, and force mode beside it. A mover that is started while another one moves takes over at
+    the present speed (`speedl`, `stopj`, …), or waits for rest where the manual wants rest (`movej`, `movel`, …).
+
+    Args:
+        plant: the arm; its configured TCP is what tool motions move.
+
+    Attributes:
+        q_target, qd_target, qdd_target: (6,) rad, rad/s, rad/s²; replaced, never changed in place.
+        speed_fraction: share of the full speed at which programs move now; follows what `advance` is given.
+        fault: why the arm cannot go on, or None: what the controller has to make a protective stop of.
+        owner: the thread that moves the arm; motion builtins keep it.
+        force_damping, force_gain: of force mode, 0 … 1 and 0 … 2.
+        memory: what was measured lately, for the detection of contacts.
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        self._plant = plant
+        self.speed_fraction = 1.0
+        self.owner: object | None = None
+        self.force_damping, self.force_gain = DEFAULT_DAMPING, DEFAULT_GAIN
+        self.memory = ContactMemory()
+        self.freeze()
+
+    def freeze(self) -> None:
+        """Take the measured joints as the target, at rest: after a power-off, a protective stop, a new lay-out."""
+        self._mover: Mover | None = None
+        self._queued: Callable[[], Mover] | None = None
+        self._force: ForceMode | None = None
+        self._freedrive = False
+        self._displaced = False
+        self._twist: list[float] | None = None
+        self._reference: tuple[Vector, Rotation] | None = None
+        self._offset = self._plant.tcp_offset
+        self._tool_rotation = rotation_of(*self._offset[3:])
+        self._rest_ticks = 0
+        self.memory.forget()
+        self.owner = None
+        self.fault: str | None = None
+        self._q: list[float] = self._plant.q.tolist()
+        self._qd = [0.0] * 6
+        self.q_target: Array = np.array(self._q)
+        self.qd_target: Array = _REST
+        self.qdd_target: Array = _REST
+
+    def hold(self) -> None:
+        """Bring whatever moves to rest, as at the end of a program; force mode and freedrive end."""
+        self.end_force()
+        self.end_freedrive()
+        self.owner = None
+        self.abandon()
+
+    def abandon(self) -> None:
+        """Bring the running motion to rest, as when the thread that commands it is killed; force mode goes on."""
+        self._queued = None
+        self._take(self._stop(HOLD_RAD_S2) if self.moving else None)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the joint target moves."""
+        return any(self._qd)
+
+    @property
+    def ready(self) -> bool:
+        """Whether the script that started the last mover may go on."""
+        return self._mover is None or (self._queued is None and self._mover.ready)
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the arm has stood still for a while, in no mode in which it may give way."""
+        return self._rest_ticks >= STEADY_TICKS and bool((np.abs(self._plant.qd) < 2e-3).all())
+
+    @property
+    def in_force_mode(self) -> bool:
+        return self._force is not None and not self._freedrive
+
+    @property
+    def in_freedrive(self) -> bool:
+        return self._freedrive
+
+    def target_tcp_pose(self) -> list[float]:
+        """Pose of the configured TCP at the joint target."""
+        position, rotation = self._tool()
+        return [*position, *rotvec_of(rotation)]
+
+    def target_tcp_speed(self) -> list[float]:
+        """Twist (6,) of the configured TCP at the joint target, base axes."""
+        if self._twist is not None:
+            return list(self._twist)
+        return tool_twist(self._q, self._tool()[0], self._qd) if self.moving else [0.0] * 6
+
+    def waypoint(self) -> list[float]:
+        """Pose at which the present move ends; where the arm is to be when there is no such move."""
+        mover = self._mover
+        if isinstance(mover, MoveJ):
+            return self._plant.tcp_pose_of(mover.target)
+        if isinstance(mover, PathMover):
+            position, rotation = mover.end
+            return [*position, *rotvec_of(rotation)]
+        return self.target_tcp_pose()
+
+    def advance(self, speed_fraction: float = 1.0) -> None:
+        """Make the joint target of the next tick.
+
+        Args:
+            speed_fraction: of the full speed, 0 … 1: the speed slider; 0 while a program is paused.
+        """
+        change = speed_fraction - self.speed_fraction
+        if abs(change) > SLIDER_STEP:
+            speed_fraction = self.speed_fraction + math.copysign(SLIDER_STEP, change)
+        self.speed_fraction = speed_fraction
+        self.memory.record(self._plant.q, self._plant.wrench)
+        mover = self._mover
+        if mover is None and self._force is None and not self._freedrive:
+            self._rest_ticks += 1
+            if self.moving:
+                self._publish(self._q, [0.0] * 6)
+            else:
+                self.qdd_target = _REST
+            return
+        self._rest_ticks = 0
+        if self._freedrive and self._force is None:
+            self._reference = self._twist = None
+            self._publish(self._plant.q.tolist(), [0.0] * 6)
+            return
+        if self._offset is not self._plant.tcp_offset:
+            self._retool()
+            mover = self._mover
+        if self._displaced:
+            self._displace(mover)
+        elif isinstance(mover, JointMover):
+            self._reference = self._twist = None
+            self._publish(*mover.step(self.speed_fraction))
+        elif isinstance(mover, ToolMover):
+            position, rotation, self._twist = mover.step(self.speed_fraction)
+            self._follow(position, rotation)
+        if mover is not None and mover is self._mover and mover.done:
+            self._mover = None
+            if self._queued is not None:
+                queued, self._queued = self._queued, None
+                self._mover = queued()
+
+    def movej(self, target: Sequence[float], a: float, v: float, t: float, r: float) -> None:
+        """Start a straight move in joint space to `target` (6,) rad: rad/s², rad/s, s, blend radius m."""
+
+        def build(tail: MoveJ | None) -> MoveJ:
+            start = self._q if tail is None else tail.target
+            path = [goal - here for here, goal in zip(start, target, strict=True)]
+            length = max(abs(d) for d in path)
+            profile = Trapezoid(length, leading_speed(path, v) if length else v, a, t)
+            return MoveJ(start, target, profile, length * self._blend_share(start, target, r), tail)
+
+        mover = self._mover
+        self._begin(build, mover if isinstance(mover, MoveJ) and mover.ready else None)
+
+    def movel(self, target: Sequence[float], a: float, v: float, t: float, r: float) -> None:
+        """Start a straight move of the TCP to the pose `target`: m/s², m/s, s, blend radius m."""
+        end = standing(target)
+        if not self.reachable(target):
+            self._fail("the target of a linear move cannot be reached")
+            return
+
+        def build(tail: PathMover | None) -> PathMover:
+            return Line(self._tool() if tail is None else tail.end, end, (v, a, t), r, tail)
+
+        mover = self._mover
+        self._begin(build, mover if isinstance(mover, PathMover) and mover.ready else None)
+
+    def movec(
+        self, via: Sequence[float], target: Sequence[float], a: float, v: float, r: float, *, fixed: bool
+    ) -> None:
+        """Start a circular move of the TCP through the position of `via` to the pose `target`; see `cartesian.Arc`.
+
+        Raises:
+            ValueError: the three points lie on one line.
+        """
+        if not self.reachable(target):
+            self._fail("the target of a circular move cannot be reached")
+            return
+
+        def build(tail: PathMover | None) -> PathMover:
+            start = self._tool() if tail is None else tail.end
+            return Arc(start, via[:3], standing(target), (v, a), r, fixed, tail)
+
+        mover = self._mover
+        self._begin(build, mover if isinstance(mover, PathMover) and mover.ready else None)
+
+    def speedj(self, qd: Sequence[float], a: float, t: float) -> None:
+        """Turn the joints at `qd` (6,) rad/s for `t` s, or until there is another command where `t` is 0."""
+        self._queued = None
+        mover = self._mover
+        if isinstance(mover, SpeedJ):
+            mover.command(qd, a, t)
+        else:
+            self._take(SpeedJ(self._q, self._qd, qd, a, t))
+
+    def speedl(self, twist: Sequence[float], a: float, t: float, a_rot: float) -> None:
+        """Move the TCP at `twist` (6,), base axes, for `t` s, or until there is another command where `t` is 0."""
+        self._queued = None
+        mover = self._mover
+        if not isinstance(mover, SpeedL) or self._offset is not self._plant.tcp_offset:
+            mover = SpeedL(self._tool(), self.target_tcp_speed())
+            self._take(mover)
+        mover.command(twist, a, a_rot, t)
+
+    def stopj(self, a: float) -> None:
+        """Bring the joints to rest, rad/s² of the leading axis."""
+        self._queued = None
+        self._take(self._stop(a) if self.moving else None)
+
+    def stopl(self, a: float, a_rot: float) -> None:
+        """Bring the TCP to rest, m/s² and rad/s²."""
+        self._queued = None
+        if not self.moving:
+            self._take(None)
+            return
+        mover = SpeedL(self._tool(), self.target_tcp_speed())
+        mover.command([0.0] * 6, a, a_rot, 0.0)
+        self._take(mover)
+
+    def servoj(self, target: Sequence[float], t: float, lookahead_s: float, gain: float) -> None:
+        """Follow the joint set-point `target` (6,) rad; see `joint.ServoJ`."""
+        self._queued = None
+        mover = self._mover
+        if not isinstance(mover, ServoJ):
+            mover = ServoJ(self._q, self._qd)
+            self._take(mover)
+        mover.command(target, t, lookahead_s, gain)
+
+    def servoc(self, target: Sequence[float], a: float, v: float, r: float) -> None:
+        """Go to the pose `target` at constant speed, from the present motion; see `cartesian.ServoC`."""
+        self._queued = None
+        mover = self._mover
+        if not isinstance(mover, ServoC) or self._offset is not self._plant.tcp_offset:
+            mover = ServoC(self._tool(), self.target_tcp_speed())
+            self._take(mover)
+        mover.command(standing(target), v, a, r)
+
+    def force(
+        self,
+        frame: Sequence[float],
+        selection: Sequence[bool],
+        wrench: Sequence[float],
+        kind: int,
+        limits: Sequence[float],
+    ) -> None:
+        """Be in force mode, with these parameters; see `force.ForceMode`."""
+        self.end_freedrive()
+        if self._force is None:
+            self._force = ForceMode(frame, selection, wrench, kind, limits)
+            self._displaced = True
+        else:
+            self._force.command(frame, selection, wrench, kind, limits)
+
+    def end_force(self) -> None:
+        """Leave force mode; the arm stays where the force has taken it, and a move that is on its way goes on."""
+        if self._force is not None:
+            self._force = None
+            self._twist = None
+            if self._mover is None:
+                self.abandon()
+
+    def freedrive(self, axes: Sequence[bool] = (True,) * 6, frame: Sequence[float] = (0.0,) * 6) -> None:
+        """Let the arm be moved by hand, along `axes` (6,) of the pose `frame` only when not all of them are free."""
+        self.end_force()
+        self._mover = self._queued = None
+        self._freedrive = True
+        if not all(axes):
+            self._force = ForceMode(frame, axes, [0.0] * 6, 2, [FREEDRIVE_SPEED if free else 0.0 for free in axes])
+            self._displaced = True
+
+    def end_freedrive(self) -> None:
+        """Hold the arm where the hand has left it."""
+        if self._freedrive:
+            self._freedrive = False
+            self.end_force()
+
+    def freedrive_status(self) -> int:
+        """How well the arm can be moved by hand where it is: 0 well, 1 near a singularity, 2 too near."""
+        margin = float(singularity_margin(self._q).min())
+        return (margin < NEAR_SINGULARITY) + (margin < TOO_NEAR_SINGULARITY)
+
+    def reachable(self, pose: Sequence[float]) -> bool:
+        """Whether the configured TCP can be brought to a pose."""
+        try:
+            self._plant.inverse(pose, self._q)
+        except KinematicsError:
+            return False
+        return True
+
+    def _take(self, mover: Mover | None) -> None:
+        """Let `mover` go on from the present target and speed."""
+        self._mover = mover
+        self._displaced = self._force is not None
+
+    def _begin(self, build: "Callable[..., Mover]", tail: Mover | None) -> None:
+        """Start a move out of the end of `tail`, or from rest: what moves otherwise is brought to its end first."""
+        if tail is not None and not self._displaced:
+            self._queued = None
+            self._mover = build(tail)
+        elif self._mover is not None or (self.moving and self._force is None):
+            if not isinstance(self._mover, MoveJ | PathMover) or not self._mover.ready:
+                self._take(self._stop(HOLD_RAD_S2))
+            self._queued = lambda: self._start(build)
+        else:
+            self._mover = self._start(build)
+
+    def _start(self, build: "Callable[..., Mover]") -> Mover:
+        self._displaced = self._force is not None
+        return build(None)
+
+    def _stop(self, a: float) -> SpeedJ:
+        return SpeedJ(self._q, self._qd, [0.0] * 6, a)
+
+    def _blend_share(self, start: Sequence[float], target: Sequence[float], radius: float) -> float:
+        """Share of a joint path at which the TCP comes within `radius` of its end."""
+        if radius <= 0.0:
+            return 1.0
+        end = self._plant.tcp_pose_of(target)
+        low, high = 0.0, 1.0
+        for _ in range(12):
+            middle = 0.5 * (low + high)
+            x, y, z, *_ = self._plant.tcp_pose_of([a + middle * (b - a) for a, b in zip(start, target, strict=True)])
+            near = (x - end[0]) ** 2 + (y - end[1]) ** 2 + (z - end[2]) ** 2 <= radius * radius
+            low, high = (low, middle) if near else (middle, high)
+        return high
+
+    def _displace(self, mover: Mover | None) -> None:
+        """One tick by speeds: of the program and, in force mode, of what the force makes of them."""
+        if isinstance(mover, JointMover):
+            q, qd = mover.step(self.speed_fraction)
+            twist = tool_twist(q, self._at(q)[0], qd)
+        elif isinstance(mover, ToolMover):
+            twist = mover.step(self.speed_fraction)[2]
+        else:
+            twist = [0.0] * 6
+        position, rotation = self._tool()
+        if self._force is not None:
+            measured = self._plant.wrench.tolist()
+            twist = self._force.step(twist, position, measured, self.force_damping, self.force_gain)
+            x, y, z, *turn = self._plant.tcp_pose()
+            off = rotvec_of(multiply(rotation_of(turn[0], turn[1], turn[2]), transpose(rotation)))
+            if self._force.exceeded((x - position[0], y - position[1], z - position[2], *off)):
+                self._fail("the tool deviates too far from its path in force mode")
+                return
+        self._twist = twist
+        vx, vy, vz, wx, wy, wz = twist
+        self._follow(
+            (position[0] + TICK_S * vx, position[1] + TICK_S * vy, position[2] + TICK_S * vz),
+            multiply(rotation_of(TICK_S * wx, TICK_S * wy, TICK_S * wz), rotation),
+        )
+
+    def _follow(self, position: Vector, rotation: Rotation) -> None:
+        """Take the joints to where the TCP is there, by one Newton step from where they are."""
+        (x, y, z), here = self._at(self._q)
+        turn = rotvec_of(multiply(rotation, transpose(here)))
+        step = (position[0] - x, position[1] - y, position[2] - z, *turn)
+        rates = joint_rates(self._q, (x, y, z), [d / TICK_S for d in step])
+        if rates is None:
+            self._fail("the arm is too close to a singularity for a motion of the tool")
+            return
+        for i in range(6):
+            if abs(rates[i]) > _SPEED[i]:
+                self._fail(f"joint {i + 1} would have to turn faster than it can")
+                return
+        self._reference = position, rotation
+        self._publish([a + TICK_S * v for a, v in zip(self._q, rates, strict=True)], rates)
+
+    def _publish(self, q: list[float], qd: list[float]) -> None:
+        for i in range(6):
+            if abs(q[i]) > _RANGE[i] and abs(q[i]) > abs(self._q[i]):
+                self._fail(f"joint {i + 1} is at the end of its range")
+                return
+        last = self._qd
+        self._q, self._qd = q, qd
+        self.q_target, self.qd_target = np.array(q), np.array(qd)
+        self.qdd_target = np.array([(b - a) / TICK_S for a, b in zip(last, qd, strict=True)])
+
+    def _fail(self, why: str) -> None:
+        self.fault = why
+        self._mover = self._queued = self._force = self._twist = None
+        self._publish(self._q, [0.0] * 6)
+
+    def _retool(self) -> None:
+        """The script has configured another TCP: motions of the old one end."""
+        if isinstance(self._mover, ToolMover):
+            self.hold()
+        self._forget_tool()
+
+    def _forget_tool(self) -> None:
+        self._offset = self._plant.tcp_offset
+        self._tool_rotation = rotation_of(*self._offset[3:])
+        self._reference = self._twist = None
+
+    def _tool(self) -> tuple[Vector, Rotation]:
+        """TCP of the target: what the tool motion has reached, or where the joints are."""
+        if self._offset is not self._plant.tcp_offset:
+            self._forget_tool()
+        if self._reference is None:
+            self._reference = self._at(self._q)
+        return self._reference
+
+    def _at(self, q: Sequence[float]) -> tuple[Vector, Rotation]:
+        """TCP at joint angles (6,)."""
+        (x, y, z), rotation = flange_of(q)
+        dx, dy, dz = rotate(rotation, self._offset[:3])
+        return (x + dx, y + dy, z + dz), multiply(rotation, self._tool_rotation)

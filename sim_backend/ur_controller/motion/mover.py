@@ -1,0 +1,91 @@
+"""What every mover is: something that says, tick by tick, where the arm is to be."""
+
+from abc import ABC, abstractmethod
+
+from sim_backend.protocol.wire import TICK_S
+from sim_backend.ur_controller.geometry import Rotation, Vector
+
+from .profile import Trapezoid
+
+ToolState = tuple[Vector, Rotation, list[float]]
+"""TCP position, rotation and twist (6,), base frame."""
+
+_ROUNDING_S = 1e-9
+
+
+class Mover:
+    """One motion of the arm.
+
+    Attributes:
+        ready: The script that started it may go on; the motion itself may last longer.
+        done: The arm has arrived or stands still.
+    """
+
+    ready = False
+    done = False
+
+
+class JointMover(Mover, ABC):
+    """A motion in joint space."""
+
+    @abstractmethod
+    def step(self, fraction: float) -> tuple[list[float], list[float]]:
+        """Joint angles and speeds one tick on; `fraction` of the full speed, 0 … 1."""
+
+
+class ToolMover(Mover, ABC):
+    """A motion of the TCP in the base frame."""
+
+    @abstractmethod
+    def step(self, fraction: float) -> ToolState:
+        """The TCP one tick on; `fraction` of the full speed, 0 … 1."""
+
+
+class Timer:
+    """Counts the ticks for which a speed or servo command holds; 0 s holds for ever."""
+
+    __slots__ = ("_left", "endless")
+
+    def __init__(self, time_s: float) -> None:
+        self.endless = time_s <= 0.0
+        self._left = max(1, round(time_s / TICK_S))
+
+    def tick(self, fraction: float) -> bool:
+        """Use up one tick, unless the program is paused (`fraction` 0); whether the command still held in it."""
+        held = self._left > 0
+        self._left -= fraction > 0.0
+        return held or self.endless
+
+    @property
+    def elapsed(self) -> bool:
+        """Whether its time is over."""
+        return self._left <= 0 and not self.endless
+
+
+class Course:
+    """Progress along a path; a slower speed slider stretches time, so the path stays the same.
+
+    Args:
+        profile: distance over time.
+        blend_from: distance at which the script may go on, to blend into the next move.
+    """
+
+    __slots__ = ("_blend_from", "_profile", "_time_s", "arrived", "blending")
+
+    def __init__(self, profile: Trapezoid, blend_from: float) -> None:
+        self._profile = profile
+        self._blend_from = blend_from
+        self._time_s = 0.0
+        self.arrived = False
+        self.blending = False
+
+    def step(self, fraction: float) -> tuple[float, float]:
+        """Share of the path travelled, 0 … 1, and its rate of change per second, one tick on."""
+        self._time_s += TICK_S * fraction
+        profile = self._profile
+        if self._time_s >= profile.duration_s - _ROUNDING_S:
+            self.arrived = self.blending = True
+            return 1.0, 0.0
+        distance, speed = profile.at(self._time_s)
+        self.blending = distance >= self._blend_from
+        return distance / profile.length, speed * fraction / profile.length
