@@ -25,6 +25,7 @@ Decoded = bool | int | float | tuple[int | float, ...]
 """Of one variable, as received."""
 
 _HEADER = struct.Struct(">HB")
+HEADER_SIZE = _HEADER.size
 
 
 class PackageType(IntEnum):
@@ -46,7 +47,7 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
     Raises:
         PackageError: the payload is too long for a package.
     """
-    size = _HEADER.size + len(payload)
+    size = HEADER_SIZE + len(payload)
     if size > SIZE_LIMIT:
         raise PackageError(Reason.MALFORMED, f"a package holds at most {SIZE_LIMIT} bytes, this one has {size}")
     return _HEADER.pack(size, kind) + payload
@@ -55,12 +56,12 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
 class FrameReader:
     """Cuts a stream of bytes into packages, however it was chunked. Holds at most one package and one chunk.
 
-    Args:
+    Attributes:
         limit: largest package accepted, bytes with header; a smaller one finds a broken stream earlier.
     """
 
     def __init__(self, limit: int = SIZE_LIMIT) -> None:
-        self._limit = limit
+        self.limit = limit
         self._held = b""
         self._at = 0
         self._error: str | None = None
@@ -80,10 +81,10 @@ class FrameReader:
 
     def _packages(self) -> Iterator[tuple[int, bytes]]:
         if self._error is None:
-            while (start := self._at + _HEADER.size) <= len(self._held):
+            while (start := self._at + HEADER_SIZE) <= len(self._held):
                 size, kind = _HEADER.unpack_from(self._held, self._at)
-                if not _HEADER.size <= size <= self._limit:
-                    self._error = f"a package of {size} bytes, outside {_HEADER.size} to {self._limit}; type {kind}"
+                if not HEADER_SIZE <= size <= self.limit:
+                    self._error = f"a package of {size} bytes, outside {HEADER_SIZE} to {self.limit}; type {kind}"
                     break
                 end = self._at + size
                 if end > len(self._held):

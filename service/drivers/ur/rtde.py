@@ -1,0 +1,267 @@
+"""Asyncio client of RTDE, protocol version 2: reads every package, queues nothing, says why it failed.
+
+Packages are decoded where their bytes arrive, without a task or a queue in between, so a receiver sees them in order
+and as soon as they are there. Works on asyncio's own loop and on uvloop.
+"""
+
+import asyncio
+import contextlib
+import math
+from collections.abc import Callable, Sequence
+from typing import TypeVar, cast
+
+from service.drivers.ur.rtde_link import LinkError, RtdeLink, open_link
+from sim_backend.protocol.rtde.codec import HEADER_SIZE, Decoded, PackageType, Recipe, Value, frame
+from sim_backend.protocol.rtde.errors import PackageError, Reason, RtdeError
+from sim_backend.protocol.rtde.messages import (
+    PORT,
+    PROTOCOL_VERSION,
+    ControllerVersion,
+    InputsRequest,
+    OutputsRequest,
+    SetupReply,
+    TextMessage,
+    decode_accepted,
+    encode_version_request,
+)
+
+RATE_HZ = 500
+"""Of the controller's real-time loop; data come at every n-th tick of it."""
+_LONGEST_TEXT = HEADER_SIZE + 3 + 2 * 0xFF
+
+_T = TypeVar("_T")
+
+
+class RtdeClient:
+    """One client of one controller; connects again after a loss with the same three calls.
+
+    `connect`, `setup` and `start` are one after another, each raises what went wrong, and after an error the connection
+    is closed. From the end of `start` on a loss is told once, through `on_lost`.
+
+    Args:
+        host: of the controller.
+        port: of its RTDE service.
+        clock: monotonic seconds, for `arrival_s`.
+        on_package: receives the values of a data package in the order of the recipe, as `Recipe.decode` gives them, and
+            the time of its arrival; packages that arrive together share it. What it raises ends the connection.
+        on_lost: receives why the connection ended.
+        on_text: receives what the controller says in words.
+        timeout_s: for each step of the connection.
+        silence_s: a connection that carries nothing for this long is lost, noticed within twice the time, real time;
+            None where silence is normal, as in a world that is advanced step by step.
+
+    Attributes:
+        controller_version: of the controller that answered last.
+        outputs: recipe of the data packages that arrive.
+        inputs: recipes that may be sent, in the order of `setup`.
+        received: data packages since `connect`, as all counters.
+        skipped: packages that the controller left out, from the gaps of the timestamps.
+        out_of_order: packages that were not newer than the one before; they are delivered all the same.
+        dropped: inputs that could not leave at once.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int = PORT,
+        *,
+        clock: Callable[[], float],
+        on_package: Callable[[tuple[Decoded, ...], float], None],
+        on_lost: Callable[[RtdeError], None],
+        on_text: Callable[[TextMessage], None] = lambda message: None,
+        timeout_s: float = 2.0,
+        silence_s: float | None = 1.0,
+    ) -> None:
+        self.name = f"RTDE at {host}:{port}"
+        self.controller_version: ControllerVersion | None = None
+        self.outputs: Recipe | None = None
+        self.inputs: tuple[Recipe, ...] = ()
+        self.received = self.skipped = self.out_of_order = self.dropped = 0
+        self._address = (host, port)
+        self._clock = clock
+        self._on_package = on_package
+        self._on_lost = on_lost
+        self._on_text = on_text
+        self._timeout_s = timeout_s
+        self._silence_s = silence_s
+        self._link: RtdeLink | None = None
+        self._stamp_at = 0
+        self._packages_per_s = 0.0
+        self._newest_stamp = 0.0
+
+    @property
+    def ready(self) -> bool:
+        """Whether the controller's data arrive. Not true of a connection that merely exists."""
+        return self._link is not None and self._link.error is None and self.received > 0
+
+    async def connect(self) -> None:
+        """Reach the controller and agree on the protocol; an older connection is dropped.
+
+        Raises:
+            LinkError: no controller, no answer in time, or another protocol.
+            RtdeError: something that is no RTDE answers.
+        """
+        self._drop()
+        self.outputs, self.inputs = None, ()
+        self.received = self.skipped = self.out_of_order = self.dropped = 0
+        try:
+            async with asyncio.timeout(self._timeout_s):
+                self._link = await open_link(
+                    *self._address, self.name, self._receive, self._on_text, self._lost, self._clock
+                )
+        except OSError as error:
+            late = isinstance(error, TimeoutError)
+            text = f"{self.name}: {f'no connection in {self._timeout_s} s' if late else error}"
+            hint = "is the controller on, the address right, RTDE enabled under Security/Services?"
+            raise LinkError(Reason.TIMEOUT if late else Reason.UNREACHABLE, f"{text}; {hint}") from error
+        accepted = await self._ask(encode_version_request(), PackageType.PROTOCOL_VERSION, decode_accepted)
+        if not accepted:
+            self._drop()
+            text = f"{self.name} does not speak version {PROTOCOL_VERSION} of the protocol: update its software"
+            raise LinkError(Reason.REFUSED, text)
+        kind = PackageType.CONTROLLER_VERSION
+        self.controller_version = await self._ask(frame(kind), kind, ControllerVersion.decode)
+
+    async def setup(self, outputs: Sequence[str], frequency_hz: float, inputs: Sequence[Sequence[str]] = ()) -> None:
+        """Agree on what is received and on what may be sent.
+
+        Args:
+            outputs: variables to receive, `timestamp` among them.
+            frequency_hz: of the data packages, 1 to 500; the controller sends every `floor(500 / f)`-th tick.
+            inputs: variables of each input recipe.
+
+        Raises:
+            SetupError: the controller does not know a variable, or another client holds it; names each.
+            LinkError: no connection, or no answer in time.
+            RtdeError: an answer that is not one.
+            ValueError: no timestamp, or a frequency that RTDE does not have.
+        """
+        if "timestamp" not in outputs:
+            raise ValueError("the outputs need `timestamp`: skipped packages are counted from it")
+        if not 1 <= frequency_hz <= RATE_HZ:
+            raise ValueError(f"RTDE sends at 1 to {RATE_HZ} Hz, not at {frequency_hz} Hz")
+        self._newest_stamp = -math.inf
+        self._stamp_at = outputs.index("timestamp")
+        self._packages_per_s = RATE_HZ / (RATE_HZ // frequency_hz)
+        request = OutputsRequest(tuple(outputs), float(frequency_hz)).encode()
+        self.outputs = await self._agree(request, PackageType.SETUP_OUTPUTS, outputs)
+        self.inputs = tuple(
+            [
+                await self._agree(InputsRequest(tuple(names)).encode(), PackageType.SETUP_INPUTS, names)
+                for names in inputs
+            ]
+        )
+
+    async def start(self) -> None:
+        """Let the data flow; returns once the first of them arrived.
+
+        Raises:
+            LinkError: the controller refuses, or no data come in time.
+            RtdeError: data that are not what was agreed.
+        """
+        link = self._link_or_error()
+        if self.outputs is not None:
+            link.limit(max(HEADER_SIZE + self.outputs.size, _LONGEST_TEXT))
+        if not await self._ask(frame(PackageType.START), PackageType.START, decode_accepted):
+            self._drop()
+            raise LinkError(Reason.REFUSED, f"{self.name} does not start the data; is an output recipe set up?")
+        if not self.received:
+            await self._ask(b"", PackageType.DATA, len)
+        self._link_or_error()
+        link.started = True
+        if self._silence_s is not None:
+            self._watch(link, self._silence_s, -1)
+
+    def send(self, recipe: int, values: Sequence[Value]) -> bool:
+        """Send the values of one input recipe now, or not at all.
+
+        Args:
+            recipe: index of the recipe in `setup`'s `inputs`.
+            values: one for each of its variables.
+
+        Returns:
+            Whether they left. False, and counted in `dropped`, where the link is not ready or does not take them at
+            once: they are not queued, the next ones replace them.
+
+        Raises:
+            PackageError: a value that does not fit its variable.
+        """
+        package = self.inputs[recipe].encode(values)
+        if self._link is not None and self.ready and self._link.send_now(package):
+            return True
+        self.dropped += 1
+        return False
+
+    async def close(self) -> None:
+        """End the connection. Where data flow, the controller has then read everything that was sent before."""
+        link = self._link
+        if self.ready:
+            with contextlib.suppress(RtdeError):
+                await self._ask(frame(PackageType.PAUSE), PackageType.PAUSE, decode_accepted)
+        self._drop()
+        if link is not None:
+            await link.closed
+
+    async def _agree(self, request: bytes, kind: PackageType, names: Sequence[str]) -> Recipe:
+        return await self._ask(request, kind, lambda payload: SetupReply.decode(payload).recipe(names))
+
+    async def _ask(self, request: bytes, kind: PackageType, read: Callable[[bytes], _T]) -> _T:
+        """Send a request and return what `read` makes of the payload that comes back; on any error, hang up."""
+        link = self._link_or_error()
+        try:
+            async with asyncio.timeout(self._timeout_s):
+                return read(await link.ask(request, kind))
+        except TimeoutError:
+            self._drop()
+            said = f"; it said: {link.last_text}" if link.last_text else ""
+            text = f"{self.name} did not answer {kind.name} in {self._timeout_s} s{said}"
+            raise LinkError(Reason.TIMEOUT, text) from None
+        except BaseException:
+            self._drop()
+            raise
+
+    def _link_or_error(self) -> RtdeLink:
+        if self._link is None:
+            raise LinkError(Reason.CLOSED, f"{self.name}: no connection; connect first")
+        if self._link.error is not None:
+            raise self._link.error
+        return self._link
+
+    def _drop(self) -> None:
+        link, self._link = self._link, None
+        if link is not None:
+            link.fail(LinkError(Reason.CLOSED, f"{self.name}: closed from this side"))
+
+    def _receive(self, payload: bytes, arrival_s: float) -> None:
+        if self.outputs is None:
+            raise PackageError(Reason.UNEXPECTED, "data before any were asked for")
+        values = self.outputs.decode(payload)
+        stamp = cast("float", values[self._stamp_at])
+        if not 0.5 < (stamp - self._newest_stamp) * self._packages_per_s < 1.5:
+            self._note_gap(stamp)
+        self._newest_stamp = stamp
+        self.received += 1
+        self._on_package(values, arrival_s)
+
+    def _note_gap(self, stamp: float) -> None:
+        if not math.isfinite(stamp):
+            raise PackageError(Reason.MALFORMED, f"a timestamp of {stamp}")
+        if not self.received:
+            return
+        steps = round((stamp - self._newest_stamp) * self._packages_per_s)
+        if steps > 0:
+            self.skipped += steps - 1
+        else:
+            self.out_of_order += 1
+
+    def _watch(self, link: RtdeLink, silence_s: float, received: int) -> None:
+        if link is not self._link or link.error is not None:
+            return
+        if self.received == received:
+            link.fail(LinkError(Reason.TIMEOUT, f"{self.name}: no data for {silence_s} s"))
+        else:
+            asyncio.get_running_loop().call_later(silence_s, self._watch, link, silence_s, self.received)
+
+    def _lost(self, link: RtdeLink, error: RtdeError) -> None:
+        if link is self._link and link.started:
+            self._on_lost(error)

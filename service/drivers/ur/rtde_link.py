@@ -1,0 +1,171 @@
+"""One TCP connection to an RTDE service: bytes in and out, packages cut and sorted, and why it ended."""
+
+import asyncio
+import socket
+from collections.abc import Callable
+from typing import cast
+
+from sim_backend.protocol.rtde.codec import FrameReader, PackageType
+from sim_backend.protocol.rtde.errors import PackageError, Reason, RtdeError
+from sim_backend.protocol.rtde.messages import TextMessage
+
+SEND_BUFFER = 8192
+"""Of the socket, bytes: with the system's book-keeping a handful of small packages. What a dead link holds back is as
+little as that, and nothing older reaches the arm when it comes back."""
+
+_DATA = int(PackageType.DATA)
+_TYPES = frozenset(int(kind) for kind in PackageType)
+
+
+class LinkError(RtdeError):
+    """The connection could not be had, or ended; `reason` says why, the cause is what the bytes had wrong."""
+
+
+class RtdeLink(asyncio.Protocol):
+    """One connection: bytes in and out, and why it ended.
+
+    Attributes:
+        error: why it failed; None while it holds.
+        started: the owner wants to be told of a loss.
+        last_text: what the controller last said in words.
+        closed: done when the socket is.
+    """
+
+    def __init__(
+        self,
+        sock: socket.socket,
+        name: str,
+        on_data: Callable[[bytes, float], None],
+        on_text: Callable[[TextMessage], None],
+        on_lost: Callable[["RtdeLink", RtdeError], None],
+        clock: Callable[[], float],
+    ) -> None:
+        self.error: RtdeError | None = None
+        self.started = False
+        self.last_text = ""
+        self.closed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._sock = sock
+        self._name = name
+        self._on_data = on_data
+        self._on_text = on_text
+        self._on_lost = on_lost
+        self._clock = clock
+        self._reader = FrameReader()
+        self._transport: asyncio.Transport | None = None
+        self._awaited: int | None = None
+        self._reply: asyncio.Future[bytes] | None = None
+
+    def limit(self, size: int) -> None:
+        """Take packages of at most `size` bytes from now on: a broken stream is found sooner."""
+        self._reader.limit = size
+
+    async def ask(self, request: bytes, kind: PackageType) -> bytes:
+        """Send a request and return the payload of the package of type `kind` that comes next."""
+        assert self._transport is not None  # noqa: S101 - `open_link` returns after `connection_made`
+        self._awaited, self._reply = kind, asyncio.get_running_loop().create_future()
+        try:
+            self._transport.write(request)
+            return await self._reply
+        finally:
+            self._awaited = self._reply = None
+
+    def send_now(self, package: bytes) -> bool:
+        """Hand a package to the system, or return False where it takes none at present.
+
+        The socket is written here, not through the transport, which would queue what does not leave. Of a package that
+        the system takes in part the rest has to follow, so that one goes through the transport.
+        """
+        if self._transport is None or self._transport.get_write_buffer_size():
+            return False
+        try:
+            sent = self._sock.send(package)
+        except BlockingIOError:
+            return False
+        except OSError as error:
+            self.fail(LinkError(Reason.CLOSED, f"{self._name}: {error}"))
+            return False
+        if sent < len(package):
+            self._transport.write(package[sent:])
+        return True
+
+    def fail(self, error: RtdeError) -> None:
+        """End the connection with a reason; the first one stays."""
+        if self.error is None:
+            self.error = error
+        if self._reply is not None and not self._reply.done():
+            self._reply.set_exception(self.error)
+        if self._transport is not None:
+            self._transport.abort()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast("asyncio.Transport", transport)
+
+    def data_received(self, data: bytes) -> None:
+        arrival_s = self._clock()
+        try:
+            for kind, payload in self._reader.feed(data):
+                if kind == _DATA:
+                    self._on_data(payload, arrival_s)
+                if kind == self._awaited:
+                    self._answer(payload)
+                elif kind != _DATA:
+                    self._take_unasked(kind, payload)
+                if self.error is not None:
+                    return
+        except RtdeError as error:
+            failure = LinkError(error.reason, f"{self._name}: {error}")
+            failure.__cause__ = error
+            self.fail(failure)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        error = LinkError(Reason.CLOSED, f"{self._name}: {exc or 'the controller closed the connection'}")
+        self.fail(error)
+        self.closed.set_result(None)
+        self._on_lost(self, self.error or error)
+
+    def _answer(self, payload: bytes) -> None:
+        self._awaited = None
+        if self._reply is not None and not self._reply.done():
+            self._reply.set_result(payload)
+
+    def _take_unasked(self, kind: int, payload: bytes) -> None:
+        if kind == PackageType.TEXT:
+            message = TextMessage.decode(payload)
+            self.last_text = message.message
+            self._on_text(message)
+        elif kind in _TYPES:
+            raise PackageError(Reason.UNEXPECTED, f"an answer to {PackageType(kind).name} that nobody asked for")
+        else:
+            raise PackageError(Reason.UNKNOWN_PACKAGE, f"a package of type {kind}, which RTDE does not have")
+
+
+async def open_link(
+    host: str,
+    port: int,
+    name: str,
+    on_data: Callable[[bytes, float], None],
+    on_text: Callable[[TextMessage], None],
+    on_lost: Callable[[RtdeLink, RtdeError], None],
+    clock: Callable[[], float],
+) -> RtdeLink:
+    """Connect to the first address of `host` that answers; raises OSError where none does."""
+    loop = asyncio.get_running_loop()
+    refusal = OSError(f"{host} has no address")
+    for family, kind, proto, _, address in await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        sock = socket.socket(family, kind, proto)
+        try:
+            sock.setblocking(False)
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+            await loop.sock_connect(sock, address)
+            link = RtdeLink(sock, name, on_data, on_text, on_lost, clock)
+            await loop.create_connection(lambda link=link: link, sock=sock)
+        except OSError as error:
+            sock.close()
+            refusal = error
+        except BaseException:
+            sock.close()
+            raise
+        else:
+            return link
+    raise refusal
