@@ -60,7 +60,7 @@ class Panel:
         """
         document = answers.read_object(payload, "panel")
         name = document.get("press")
-        if len(document) != 1 or name not in self._presses:
+        if len(document) != 1 or not isinstance(name, str) or name not in self._presses:
             raise answers.RequestError(f'panel: {{"press": name}} takes one of {", ".join(self._presses)}')
         try:
             self._presses[name]()

@@ -3,12 +3,13 @@
 import math
 import struct
 from collections.abc import Iterator
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_backend.protocol.rtde.fields import INPUTS, OUTPUTS, SINCE, FieldType
+from sim_backend.protocol.rtde.fields import INPUTS, OUTPUTS, SINCE
 from sim_backend.ur_controller import listener
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.listener import Listener
@@ -18,6 +19,7 @@ from sim_backend.world import World
 from tests.sim_backend.ur_controller.rtde_peer import Peer
 
 HOST = "127.0.0.22"
+OUTPUTS_OF_V2 = struct.pack(">d", 500.0) + b"actual_q"
 
 
 class Bench:
@@ -94,7 +96,7 @@ def test_timestamps_lie_on_the_grid_of_2_ms(bench: Bench) -> None:
     bench.tick(200)
     stamps = [peer.data("d")[0] for _ in range(200)]
     assert all(abs(stamp * 500 - round(stamp * 500)) < 1e-6 for stamp in stamps)
-    assert [round((b - a) * 500) for a, b in zip(stamps, stamps[1:], strict=False)] == [1] * 199
+    assert [round((b - a) * 500) for a, b in pairwise(stamps)] == [1] * 199
     assert stamps[0] >= 40
 
 
@@ -406,7 +408,7 @@ def test_a_slow_reader_misses_whole_packages_and_gets_the_newest_next(bench: Ben
     packages += slow.settle()
     assert {(kind, len(payload)) for kind, payload in packages} == {("U", 1 + 49 * 8)}
     stamps = [struct.unpack_from(">d", payload, 1)[0] for _, payload in packages]
-    steps = [round((b - a) * 500) for a, b in zip(stamps, stamps[1:], strict=False)]
+    steps = [round((b - a) * 500) for a, b in pairwise(stamps)]
     assert stamps[-1] == bench.controller.time_s
     assert min(steps) == 1
     assert sum(steps) - len(steps) == bench.service.skipped
