@@ -5,18 +5,25 @@ Where the manual leaves a question open, the module that has to answer it says h
 """
 
 from .builtin import REQUIRED, Builtin, Parameter, Table
+from .compiler import Compiled, compile_source
 from .errors import CompileError, Halt, ScriptRuntimeError
+from .runtime import Execution, ScriptThread, State
 from .values import Pose, Struct, Value
 
 __all__ = [
     "REQUIRED",
     "Builtin",
     "CompileError",
+    "Compiled",
+    "Execution",
     "Halt",
     "Parameter",
     "Pose",
     "ScriptRuntimeError",
+    "ScriptThread",
+    "State",
     "Struct",
     "Table",
     "Value",
+    "compile_source",
 ]

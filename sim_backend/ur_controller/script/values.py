@@ -15,7 +15,8 @@ Value: TypeAlias = Any
 """int, float, bool, str, list, `Pose`, `Struct`, or None where a function returned nothing."""
 
 LEAST_INT, LARGEST_INT = -(2**31), 2**31 - 1
-LONGEST_TEXT = 16_384
+LONGEST_TEXT = 1_023
+"""Characters, as the script manual limits what str_cat and to_str give."""
 LARGEST_LIST = 4_096
 DEEPEST_VALUE = 4
 

@@ -1,0 +1,303 @@
+"""Operators of the language.
+
+From UR's script manual, "Matrix and Array Expressions": `+ - * / %` work on two numbers, on a number and every
+element of a list or matrix, and element by element on two lists of one length; `*` of a matrix with a matrix or a
+list is the product of linear algebra. Indices count from 0. A pose counts as a list here and stays a pose.
+
+Not in the manual: `/` gives a float even of two ints (UR's own client divides its integers from the network so), `%`
+has the sign of its left operand, and an int beyond 32 bits becomes a float.
+"""
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Final, TypeGuard
+
+from .budget import BUDGET
+from .errors import ScriptRuntimeError
+from .values import (
+    DEEPEST_VALUE,
+    LARGEST_INT,
+    LARGEST_LIST,
+    LEAST_INT,
+    LONGEST_TEXT,
+    Pose,
+    Struct,
+    Value,
+    integer,
+    is_list,
+    is_number,
+    kind_of,
+    number,
+    truth,
+)
+
+MOST_PRODUCTS: Final = 32_768
+"""Multiplications in one product of matrices."""
+
+
+def add(a: Value, b: Value) -> Value:
+    """`a + b`; of two strings, one after the other."""
+    if type(a) is float and type(b) is float:
+        return a + b
+    if is_number(a) and is_number(b):
+        return _fit(a + b)
+    if type(a) is str and type(b) is str:
+        return checked_text(a + b)
+    return _elementwise("+", add, a, b)
+
+
+def subtract(a: Value, b: Value) -> Value:
+    """`a - b`."""
+    if type(a) is float and type(b) is float:
+        return a - b
+    if is_number(a) and is_number(b):
+        return _fit(a - b)
+    return _elementwise("-", subtract, a, b)
+
+
+def multiply(a: Value, b: Value) -> Value:
+    """`a * b`."""
+    if type(a) is float and type(b) is float:
+        return a * b
+    if is_number(a) and is_number(b):
+        return _fit(a * b)
+    if is_matrix(a) and is_list(b):
+        return _product(a, b)
+    return _elementwise("*", multiply, a, b)
+
+
+def divide(a: Value, b: Value) -> Value:
+    """`a / b`."""
+    if is_number(a) and is_number(b):
+        return a / b
+    return _elementwise("/", divide, a, b)
+
+
+def modulo(a: Value, b: Value) -> Value:
+    """`a % b`."""
+    if is_number(a) and is_number(b):
+        if b == 0:
+            raise ZeroDivisionError
+        remainder = math.fmod(a, b)
+        return int(remainder) if type(a) is int and type(b) is int else remainder
+    return _elementwise("%", modulo, a, b)
+
+
+def negate(a: Value) -> Value:
+    """`-a`."""
+    if type(a) is float:
+        return -a
+    return multiply(a, -1)
+
+
+def identity(a: Value) -> Value:
+    """`+a`."""
+    return multiply(a, 1)
+
+
+def ordered(compare: Callable[[float, float], bool]) -> Callable[[Value, Value], bool]:
+    """One of `< <= > >=`, which order numbers only."""
+
+    def comparison(a: Value, b: Value) -> bool:
+        if is_number(a) and is_number(b):
+            return compare(a, b)
+        raise ScriptRuntimeError(f"Type error: a {kind_of(a)} and a {kind_of(b)} have no order")
+
+    return comparison
+
+
+less, less_or_equal = ordered(operator.lt), ordered(operator.le)
+greater, greater_or_equal = ordered(operator.gt), ordered(operator.ge)
+
+
+def equal(a: Value, b: Value) -> bool:
+    """`a == b`; values of two types differ, but an int equals a float of its size."""
+    if is_list(a) and is_list(b):
+        BUDGET.left -= min(len(a), len(b)) >> 3
+    return a == b
+
+
+def unequal(a: Value, b: Value) -> bool:
+    """`a != b`."""
+    return not equal(a, b)
+
+
+def condition(value: Value) -> bool:
+    """What `if`, `while` and the logical operators make of a value: a bool itself, of a number whether it is not 0."""
+    return value if type(value) is bool else truth(value, "A condition")
+
+
+def is_matrix(value: Value) -> TypeGuard[list[list[Value]]]:
+    """Whether `value` is a list whose first element is a list and no pose."""
+    return is_list(value) and type(value) is not Pose and bool(value) and type(value[0]) is list
+
+
+def _fit(value: float) -> float:
+    return value if type(value) is float or LEAST_INT <= value <= LARGEST_INT else float(value)
+
+
+def _elementwise(sign: str, apply: Callable[[Value, Value], Value], a: Value, b: Value) -> Value:
+    if is_list(a) and is_list(b):
+        if len(a) != len(b):
+            raise ScriptRuntimeError(f"Lists of {len(a)} and {len(b)} elements cannot be combined by {sign}")
+        BUDGET.left -= len(a)
+        items = [apply(x, y) for x, y in zip(a, b, strict=True)]
+        return Pose(items) if type(a) is Pose and type(b) is Pose else items
+    if is_list(a) and is_number(b):
+        BUDGET.left -= len(a)
+        items = [apply(x, b) for x in a]
+        return Pose(items) if type(a) is Pose else items
+    if is_number(a) and is_list(b):
+        BUDGET.left -= len(b)
+        items = [apply(a, y) for y in b]
+        return Pose(items) if type(b) is Pose else items
+    raise ScriptRuntimeError(f"Type error: {sign} cannot be applied to a {kind_of(a)} and a {kind_of(b)}")
+
+
+def _product(matrix: list[list[Value]], other: list[Value]) -> list[Value]:
+    width = len(matrix[0])
+    if width != len(other) or any(len(row) != width for row in matrix):
+        raise ScriptRuntimeError(f"A matrix of {width} columns cannot be multiplied with {len(other)} rows")
+    columns = list(zip(*other, strict=True)) if is_matrix(other) else [tuple(other)]
+    products = len(matrix) * width * len(columns)
+    if products > MOST_PRODUCTS:
+        raise ScriptRuntimeError(f"A product of {products} multiplications is too large: the most is {MOST_PRODUCTS}")
+    BUDGET.left -= products
+    rows = [
+        [math.fsum(number(x, "An element") * number(y, "An element") for x, y in zip(row, column, strict=True))
+         for column in columns]
+        for row in matrix
+    ]  # fmt: skip
+    return rows if is_matrix(other) else [row[0] for row in rows]
+
+
+def make_list(*items: Value) -> list[Value]:
+    """`[...]`."""
+    return checked_list(list(items))
+
+
+def make_pose(*items: Value) -> Pose:
+    """`p[x, y, z, rx, ry, rz]`."""
+    return Pose([number(item, "An element of a pose") for item in items])
+
+
+def make_struct(names: tuple[str, ...], *items: Value) -> Struct:
+    """`struct(name = value, ...)`."""
+    struct = Struct(zip(names, items, strict=True))
+    _measure(struct, 1)
+    return struct
+
+
+def checked_list(items: list[Value]) -> list[Value]:
+    """`items`, if they are no more and no deeper than a value may be.
+
+    Raises:
+        ScriptRuntimeError: They are.
+    """
+    if len(items) > LARGEST_LIST or any(isinstance(item, list | dict) for item in items):
+        _measure(items, 1)
+    return items
+
+
+def _measure(value: Value, depth: int) -> int:
+    """Numbers, strings and booleans in `value`; those of a list without inner lists are not counted one by one."""
+    if isinstance(value, Struct):
+        items = list(value.values())
+    elif is_list(value):
+        items = value
+    else:
+        return 1
+    if depth > DEEPEST_VALUE:
+        raise ScriptRuntimeError(f"Lists and structs can be nested {DEEPEST_VALUE} deep")
+    size = sum(_measure(item, depth + 1) for item in items)
+    BUDGET.left -= len(items)
+    if size > LARGEST_LIST:
+        raise ScriptRuntimeError(f"A list cannot have more than {LARGEST_LIST} elements")
+    return size
+
+
+def checked_text(text: str) -> str:
+    """`text`, if it is no longer than a string may be.
+
+    Raises:
+        ScriptRuntimeError: It is.
+    """
+    if len(text) > LONGEST_TEXT:
+        raise ScriptRuntimeError(f"A string cannot have more than {LONGEST_TEXT} characters")
+    return text
+
+
+def element(base: Value, *path: Value) -> Value:
+    """`base[i]`, or `base[i, j]` of a matrix."""
+    for index in path:
+        if not is_list(base):
+            raise ScriptRuntimeError(f"Type error: a {kind_of(base)} has no elements")
+        base = base[_position(base, index)]
+    return base
+
+
+def field(base: Value, name: str) -> Value:
+    """`base.name`."""
+    if not isinstance(base, Struct):
+        raise ScriptRuntimeError(f"Type error: a {kind_of(base)} has no field {name}")
+    if name not in base:
+        raise ScriptRuntimeError(f"The struct has no field {name}, it has {', '.join(base)}")
+    return base[name]
+
+
+def replaced(base: Value, value: Value, *path: Value) -> Value:
+    """`base` with `value` at `path`, in which a field's name is a string."""
+    key, *rest = path
+    if isinstance(base, Struct):
+        inner: Value = field(base, key)
+        struct = Struct(base)
+        struct[key] = replaced(inner, value, *rest) if rest else value
+        _measure(struct, 1)
+        return struct
+    if type(base) is Pose:
+        pose = Pose(base)
+        pose[_position(base, key)] = number(value, "An element of a pose")
+        return pose
+    if not is_list(base):
+        raise ScriptRuntimeError(f"Type error: a {kind_of(base)} has no elements")
+    BUDGET.left -= len(base) >> 3
+    position = _position(base, key)
+    items = base.copy()
+    items[position] = replaced(items[position], value, *rest) if rest else value
+    if isinstance(value, list | dict):
+        _measure(items, 1)
+    return items
+
+
+def _position(base: list[Value], index: Value) -> int:
+    position = index if type(index) is int else integer(index, "An index")
+    if 0 <= position < len(base):
+        return position
+    raise ScriptRuntimeError(f"Index {position} is out of range: the list has {len(base)} elements")
+
+
+def method(base: Value, name: str, *arguments: Value) -> tuple[Value, Value]:
+    """What `base.name(...)` leaves in the variable, and its result.
+
+    Lists of variable length: `length`, `append`, `pop`, `insert` and `clear` (PolyScope 5.15).
+    """
+    if not is_list(base) or type(base) is Pose:
+        raise ScriptRuntimeError(f"Type error: a {kind_of(base)} has no method {name}")
+    BUDGET.left -= len(base) >> 3
+    match name, arguments:
+        case "length", ():
+            return base, len(base)
+        case "clear", ():
+            return [], None
+        case "append", (value,):
+            return checked_list([*base, value]), None
+        case "pop", () if base:
+            return base[:-1], base[-1]
+        case "insert", (position, value) if integer(position, "A position") <= len(base):
+            position = integer(position, "A position")
+            if position >= 0:
+                return checked_list([*base[:position], value, *base[position:]]), None
+        case _:
+            pass
+    raise ScriptRuntimeError(f"A list of {len(base)} elements has no {name} with {len(arguments)} such arguments")

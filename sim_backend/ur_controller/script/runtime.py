@@ -1,0 +1,239 @@
+"""A compiled script at work, one tick at a time.
+
+From UR's script manual, "Threads" and "Thread scheduling": every thread that can run is scheduled once in each frame
+of 2 ms, until it uses time or its slice is spent; `run` gives a handle, `kill` and `join` take one, and the end of
+the main program ends its threads.
+
+Not in the manual: a critical section keeps other threads from running between two of its statements only; a thread
+that waits inside of one lets them run, also in their own sections. UR's client needs it so: its trajectory thread
+moves inside of a section while the main thread, inside of another, waits for the network and may cancel the motion.
+"""
+
+import enum
+import re
+from collections.abc import Generator
+from types import CodeType, TracebackType
+from typing import Any, Final, TypeAlias
+
+from .budget import BUDGET, EXHAUSTED
+from .compiler import FILE_NAME, MAIN, Compiled
+from .errors import Halt, ScriptRuntimeError
+from .values import Value, integer
+
+STEP_LIMIT: Final = 10_000
+"""Operations in one tick, all threads together: about a millisecond."""
+LEAST_SHARE: Final = 500
+MOST_THREADS: Final = 32
+DEEPEST_CALL: Final = 60
+
+Code: TypeAlias = Generator[int | None, None, Value]
+
+
+class State(enum.Enum):
+    """Of an execution."""
+
+    RUNNING = enum.auto()
+    FINISHED = enum.auto()
+    FAILED = enum.auto()
+
+
+class ScriptThread:
+    """One thread of a running script; the main program's handle is 0.
+
+    Attributes:
+        handle, name: As the script knows it.
+    """
+
+    __slots__ = ("_code", "critical", "depth", "handle", "name")
+
+    def __init__(self, handle: int, name: str, code: Code) -> None:
+        self.handle, self.name = handle, name
+        self._code: Code | None = code
+        self.critical = False
+        self.depth = 0
+
+    @property
+    def alive(self) -> bool:
+        """Whether it has neither ended nor been killed."""
+        return self._code is not None
+
+    def step(self) -> int | None:
+        """Go on to the next wait; `StopIteration` at the end."""
+        return None if self._code is None else self._code.send(None)
+
+    def close(self) -> None:
+        """End it where it waits."""
+        code, self._code = self._code, None
+        if code is not None:
+            code.close()
+
+
+class _Killed(BaseException):
+    """A thread has killed itself."""
+
+
+class Execution:
+    """A run of a compiled script.
+
+    Attributes:
+        name: Of the program.
+        state: It stays RUNNING until `step` or `kill` ends it.
+        error: Why it FAILED.
+        current_thread: The thread that runs now; None between steps.
+    """
+
+    def __init__(self, compiled: Compiled, *, step_limit: int = STEP_LIMIT) -> None:
+        self.name = compiled.name
+        self.state = State.RUNNING
+        self.error: ScriptRuntimeError | None = None
+        self.current_thread: ScriptThread | None = None
+        self._limit = step_limit
+        self._handles = 0
+        names: dict[str, Any] = compiled.names | {
+            "_run": self._run,
+            "_runs": self._runs,
+            "_kill": self._kill,
+            "_halt": self._halt,
+            "_enter_critical": self._enter_critical,
+            "_exit_critical": self._exit_critical,
+            "_enter_call": self._enter_call,
+            "_leave_call": self._leave_call,
+        }
+        exec(compiled.code, names)  # noqa: S102  # built from a syntax tree of ours, see `compiler`
+        self._threads = [ScriptThread(0, compiled.name, names[MAIN]())]
+        self._first: ScriptThread | None = None
+
+    def step(self) -> None:
+        """One tick: every thread goes on until it waits for the next one or has used up its share of the step limit."""
+        share = max(self._limit // max(len(self._threads), 1), LEAST_SHARE)
+        first, self._first = self._first, None
+        if first is not None and not self._advance(first, share):
+            return
+        for thread in self._threads:  # grows when a thread runs another
+            if thread is not first and not self._advance(thread, share):
+                return
+        if any(not thread.alive for thread in self._threads):
+            self._threads = [thread for thread in self._threads if thread.alive]
+
+    def kill(self) -> None:
+        """End the run at once: FINISHED, unless it has failed.
+
+        Called by a builtin, it ends the calling thread when that next waits.
+        """
+        if self.state is State.RUNNING:
+            self._end(State.FINISHED)
+
+    def _advance(self, thread: ScriptThread, share: int) -> bool:
+        """Let one thread run; False when no other may in this tick."""
+        if self.state is not State.RUNNING:
+            return False
+        BUDGET.left = share
+        self.current_thread = thread
+        try:
+            exhausted = thread.step() == EXHAUSTED
+        except (StopIteration, _Killed):
+            thread.close()
+            if thread.handle == 0:
+                self._end(State.FINISHED)
+            exhausted = False
+        except Halt:
+            self._end(State.FINISHED)
+            exhausted = False
+        except Exception as error:  # a builtin's own mistake too must not take the controller down
+            self.error = _runtime_error(error, thread.name)
+            self._end(State.FAILED)
+            exhausted = False
+        self.current_thread = None
+        if self.state is not State.RUNNING:
+            self._end(self.state)
+            return False
+        if exhausted and thread.critical:
+            self._first = thread
+            return False
+        return True
+
+    def _end(self, state: State) -> None:
+        self.state = state
+        for thread in self._threads:
+            if thread is not self.current_thread:
+                thread.close()
+        if self.current_thread is None:
+            self._threads = []
+        BUDGET.left = -1
+
+    # what the compiled code calls
+
+    def _run(self, name: str, code: Code) -> int:
+        if sum(thread.alive for thread in self._threads) >= MOST_THREADS:
+            raise ScriptRuntimeError(f"A program can have {MOST_THREADS} threads")
+        self._handles += 1
+        self._threads.append(ScriptThread(self._handles, name, code))
+        return self._handles
+
+    def _find(self, handle: Value) -> ScriptThread | None:
+        wanted = integer(handle, "A thread handle")
+        return next((t for t in self._threads if t.handle == wanted and t.alive), None) if wanted else None
+
+    def _runs(self, handle: Value) -> bool:
+        return self._find(handle) is not None
+
+    def _kill(self, handle: Value) -> None:
+        thread = self._find(handle)
+        if thread is not None and thread is self.current_thread:
+            raise _Killed
+        if thread is not None:
+            thread.close()
+
+    def _halt(self) -> None:
+        raise Halt
+
+    def _enter_critical(self) -> None:
+        if self.current_thread is not None:
+            self.current_thread.critical = True
+
+    def _exit_critical(self) -> None:
+        if self.current_thread is not None:
+            self.current_thread.critical = False
+
+    def _enter_call(self) -> ScriptThread | None:
+        thread = self.current_thread
+        if thread is not None:
+            if thread.depth >= DEEPEST_CALL:
+                raise ScriptRuntimeError(f"Functions call each other more than {DEEPEST_CALL} deep")
+            thread.depth += 1
+        return thread
+
+    def _leave_call(self, thread: ScriptThread) -> None:
+        thread.depth -= 1
+
+
+def _runtime_error(error: Exception, thread: str) -> ScriptRuntimeError:
+    """`error` as the script's own, with its place."""
+    line, column = _place_of(error.__traceback__)
+    match error:
+        case ScriptRuntimeError():
+            text = error.text
+        case NameError():
+            name = re.search(r"'[vg]_(\w+)'", str(error))
+            text = f"Variable {name[1] if name else '?'} is used before it has a value"
+        case ZeroDivisionError():
+            text = "Division by zero"
+        case RecursionError():
+            text = "Functions call each other too deeply"
+        case _:
+            text = f"{type(error).__name__}: {error}"
+    mapped = ScriptRuntimeError(text, line, column, thread)
+    mapped.__cause__ = error
+    return mapped
+
+
+def _place_of(traceback: TracebackType | None) -> tuple[int, int]:
+    """Line and column, from 1, of the innermost call that the script itself made; zeros if it made none."""
+    place = 0, 0
+    while traceback is not None:
+        code: CodeType = traceback.tb_frame.f_code
+        if code.co_filename == FILE_NAME:
+            line, _, column, _ = list(code.co_positions())[traceback.tb_lasti // 2]
+            place = line or 0, (column or 0) + 1
+        traceback = traceback.tb_next
+    return place
