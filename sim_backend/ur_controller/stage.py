@@ -5,9 +5,8 @@ The arm itself speaks UR's protocols only. Keys and records stand in `docs/wire.
 
 import json
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from functools import partial
 
 import zenoh
 
@@ -23,50 +22,56 @@ _QUERIES = {"reset": keys.RESET, "truth": keys.TRUTH, "info": keys.INFO, "panel"
 _QUERY_CAPACITY = 64
 
 
-class Panel:
-    """The robot's own panel: its emergency stop, its safeguard input, its key switch and the buttons of PolyScope."""
+def _to_local(controller: Controller) -> None:
+    controller.remote_control = False
 
-    def __init__(self, controller: Controller) -> None:
-        self._controller = controller
-        self._presses: dict[str, Callable[[], None]] = {
-            "emergency_stop": controller.press_emergency_stop,
-            "release_emergency_stop": controller.release_emergency_stop,
-            "open_safeguard": controller.open_safeguard,
-            "close_safeguard": controller.close_safeguard,
-            "local": partial(setattr, controller, "remote_control", False),
-            "remote": partial(setattr, controller, "remote_control", True),
-            "power_on": controller.power_on,
-            "power_off": controller.power_off,
-            "brake_release": controller.brake_release,
-            "unlock_protective_stop": controller.unlock_protective_stop,
-            "close_safety_popup": controller.close_safety_popup,
-            "restart_safety": controller.restart_safety,
-            "play": controller.play,
-            "pause": controller.pause,
-            "stop": controller.stop_program,
-        }
 
-    def press(self, payload: bytes) -> bytes:
-        """Press what a request names.
+def _to_remote(controller: Controller) -> None:
+    controller.remote_control = True
 
-        Args:
-            payload: JSON object `{"press": name}`.
 
-        Returns:
-            JSON of the controller's state afterwards.
+PRESSES: Mapping[str, Callable[[Controller], None]] = {
+    "emergency_stop": Controller.press_emergency_stop,
+    "release_emergency_stop": Controller.release_emergency_stop,
+    "open_safeguard": Controller.open_safeguard,
+    "close_safeguard": Controller.close_safeguard,
+    "local": _to_local,
+    "remote": _to_remote,
+    "power_on": Controller.power_on,
+    "power_off": Controller.power_off,
+    "brake_release": Controller.brake_release,
+    "unlock_protective_stop": Controller.unlock_protective_stop,
+    "close_safety_popup": Controller.close_safety_popup,
+    "restart_safety": Controller.restart_safety,
+    "play": Controller.play,
+    "pause": Controller.pause,
+    "stop": Controller.stop_program,
+}
+"""What a person can press at the robot: its emergency stop, safeguard, key switch, and the buttons of PolyScope."""
 
-        Raises:
-            RequestError: it cannot be read, names nothing there, or the controller refuses.
-        """
-        document = answers.read_object(payload, "panel")
-        name = document.get("press")
-        if len(document) != 1 or not isinstance(name, str) or name not in self._presses:
-            raise answers.RequestError(f'panel: {{"press": name}} takes one of {", ".join(self._presses)}')
-        try:
-            self._presses[name]()
-        except Refused as error:
-            raise answers.RequestError(f"panel: the controller refuses: {error}") from error
-        return json.dumps(_state(self._controller)).encode()
+
+def press(controller: Controller, payload: bytes) -> bytes:
+    """Press what a request names.
+
+    Args:
+        controller: of the robot.
+        payload: JSON object `{"press": name}`, one of `PRESSES`.
+
+    Returns:
+        JSON of the controller's state afterwards.
+
+    Raises:
+        RequestError: it cannot be read, names nothing there, or the controller refuses.
+    """
+    document = answers.read_object(payload, "panel")
+    name = document.get("press")
+    if len(document) != 1 or not isinstance(name, str) or name not in PRESSES:
+        raise answers.RequestError(f'panel: {{"press": name}} takes one of {", ".join(PRESSES)}')
+    try:
+        PRESSES[name](controller)
+    except Refused as error:
+        raise answers.RequestError(f"panel: the controller refuses: {error}") from error
+    return json.dumps(_state(controller)).encode()
 
 
 class Stage:
@@ -97,7 +102,6 @@ class Stage:
             ValueError: `world` cannot stand in a key.
         """
         self.epoch = secrets.randbits(63)
-        self.panel = Panel(controller)
         self._controller = controller
         self._server = server
         self._degraded = degraded or []
@@ -148,7 +152,7 @@ class Stage:
         if name == "reset":
             return self._lay_out(payload)
         if name == "panel":
-            return self.panel.press(payload)
+            return press(self._controller, payload)
         if name == "truth":
             return json.dumps(self._controller.plant.truth()).encode()
         return self._info()
