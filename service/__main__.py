@@ -1,46 +1,61 @@
-"""`python -m service run` runs the control process of one cell; `schema` prints what its configuration may hold."""
+"""`python -m service run` runs the control process of one cell; `schema` prints what its configuration may hold.
+
+`python -m service ur …` is for the operator of a Universal Robots arm: the start-up gate, power, and the release from a
+protective stop.
+"""
 
 import asyncio
 import json
 import sys
-from contextlib import nullcontext
+import time
+from collections.abc import Callable, Coroutine
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import structlog
 import typer
 import uvloop
+from rich.console import Console
+from rich.table import Table
 
 from service.cell import process
-from service.config import CellConfig, ConfigError, load
-from service.drivers.sim_process import simulator
+from service.config import CellConfig, ConfigError, UrSection, load
+from service.drivers.base import Driver, DriverError, Sample
+from service.drivers.camera import ZenohCamera
+from service.drivers.sim_process import emulated_controller, simulator
+from service.drivers.stage import ZenohStage
+from service.drivers.ur import gate, recovery
+from service.drivers.ur.dashboard import DashboardError
+from service.drivers.ur.driver import UrDriver
+from service.drivers.ur.program import ProgramError
 from service.drivers.zenoh_sim import ZenohSimDriver
+from service.faults import FaultCode
 
+EXIT_FAILED = 1
 EXIT_CONFIG = 2
 EXIT_HOST = 3
 
+ConfigPath = Annotated[
+    Path | None, typer.Option(help="TOML file of the cell; default $DSL_ASSEMBLY_CONFIG, else config/cell.toml.")
+]
+
+T = TypeVar("T")
+
 app = typer.Typer(add_completion=False, no_args_is_help=True, help=__doc__)
+ur_app = typer.Typer(add_completion=False, no_args_is_help=True, help="Operate a Universal Robots arm.")
+app.add_typer(ur_app, name="ur")
 
 
 @app.command()
-def run(
-    config: Annotated[
-        Path | None, typer.Option(help="TOML file of the cell; default $DSL_ASSEMBLY_CONFIG, else config/cell.toml.")
-    ] = None,
-) -> None:
+def run(config: ConfigPath = None) -> None:
     """Run the control process until SIGTERM or Ctrl-C."""
     structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
+    cell = _load(config)
+    driver = _driver(cell)
     try:
-        cell = load(config)
-    except ConfigError as error:
-        typer.echo(str(error), err=True)
-        raise typer.Exit(EXIT_CONFIG) from error
-    sim = cell.sim
-    try:
-        with simulator(sim.world, sim.endpoint, sim.mode) if sim.autostart else nullcontext():
-            driver = ZenohSimDriver(sim.world, [sim.endpoint], sim.mode)
-            with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-                runner.run(process.run(cell, driver))
+        with _world(cell), asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+            runner.run(process.run(cell, driver))
     except OSError as error:
         typer.echo(f"the control process cannot run: {error}", err=True)
         raise typer.Exit(EXIT_HOST) from error
@@ -50,6 +65,114 @@ def run(
 def schema() -> None:
     """Print the JSON schema of the configuration."""
     typer.echo(json.dumps(CellConfig.model_json_schema(), indent=2))
+
+
+@ur_app.command()
+def check(config: ConfigPath = None) -> None:
+    """Pass the start-up gate once and print what was measured; the arm does not move. Not while the cell runs."""
+    cell = _load(config)
+    _ur_of(cell)
+    driver = _driver(cell)
+    if not isinstance(driver, UrDriver):
+        raise typer.Exit(EXIT_CONFIG)
+    failure = _do(lambda: _pass_gate(driver))
+    table = Table("check", "verdict", "measured", "what to do")
+    for line in driver.checks:
+        table.add_row(line.name, line.verdict, line.measured, line.remedy)
+    Console(soft_wrap=True).print(table)
+    if failure is not None:
+        typer.echo(failure, err=True)
+    if failure is not None or any(line.verdict is not gate.Verdict.PASSED for line in driver.checks):
+        raise typer.Exit(EXIT_FAILED)
+
+
+@ur_app.command()
+def power_on(config: ConfigPath = None) -> None:
+    """Switch the arm on and release its brakes; it moves by millimetres as they open."""
+    ur = _ur_of(_load(config))
+    _do(lambda: recovery.power_on(ur))
+
+
+@ur_app.command()
+def power_off(config: ConfigPath = None) -> None:
+    """Switch the arm off; its brakes close."""
+    ur = _ur_of(_load(config))
+    _do(lambda: recovery.power_off(ur))
+
+
+@ur_app.command()
+def unlock(config: ConfigPath = None) -> None:
+    """Leave a protective stop whose cause you have inspected, 5 s after it occurred at the earliest."""
+    ur = _ur_of(_load(config))
+    _do(lambda: recovery.unlock(ur))
+
+
+class _Onlooker:
+    """Takes a driver's samples and needs none of them."""
+
+    def on_sample(self, sample: Sample) -> None:
+        """Leave it."""
+
+    def on_link_fault(self, code: FaultCode, text: str) -> None:
+        """Leave it: what the gate found says more."""
+
+
+async def _pass_gate(driver: UrDriver) -> str | None:
+    try:
+        await driver.connect(_Onlooker())
+    except DriverError as error:
+        return str(error)
+    finally:
+        await driver.close()
+    return None
+
+
+def _load(path: Path | None) -> CellConfig:
+    try:
+        return load(path)
+    except ConfigError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(EXIT_CONFIG) from error
+
+
+def _ur_of(cell: CellConfig) -> UrSection:
+    if cell.ur is None or cell.cell.driver != "ur":
+        typer.echo('this cell has no UR arm: set cell.driver = "ur" and describe it under [ur]', err=True)
+        raise typer.Exit(EXIT_CONFIG)
+    return cell.ur
+
+
+def _driver(cell: CellConfig) -> Driver:
+    """Make the driver that the configuration names; it opens nothing before it is connected."""
+    sim, view = cell.sim, cell.camera
+    if cell.ur is None or cell.cell.driver != "ur":
+        return ZenohSimDriver(sim.world, [sim.endpoint], sim.mode)
+    camera = None if view is None else ZenohCamera(view.endpoint, view.key, view.max_age_s, time.monotonic)
+    stage = ZenohStage(sim.world, [sim.endpoint]) if cell.ur.simulated else None
+    try:
+        return UrDriver(cell, camera=camera, stage=stage)
+    except ProgramError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(EXIT_CONFIG) from error
+
+
+def _world(cell: CellConfig) -> AbstractContextManager[object]:
+    """Have the simulated world that the driver talks to, where the configuration asks for it."""
+    sim, ur = cell.sim, cell.ur
+    if not sim.autostart:
+        return nullcontext()
+    if ur is None or cell.cell.driver != "ur":
+        return simulator(sim.world, sim.endpoint, sim.mode)
+    return emulated_controller(ur.host, ur.rtde_port, sim.world, sim.endpoint) if ur.simulated else nullcontext()
+
+
+def _do(errand: Callable[[], Coroutine[Any, Any, T]]) -> T:
+    """Run an operator's errand; one that fails says why and ends the command."""
+    try:
+        return asyncio.run(errand())
+    except (DashboardError, OSError) as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(EXIT_FAILED) from error
 
 
 if __name__ == "__main__":

@@ -199,6 +199,8 @@ class Cell:
     def _conclude(self, stop: StopState) -> None:
         if stop is StopState.WAITING or self._confirmation is None:
             return
+        if stop is StopState.UNCONFIRMED:
+            self.driver.escalate()
         if self.state is CellState.STOPPING:
             self._finish_stop(stop)
         elif stop is StopState.UNCONFIRMED:

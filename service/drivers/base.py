@@ -202,6 +202,13 @@ class Driver(Protocol):
         """Decelerate, hold and disengage. Never blocks, never raises, may be called at any rate in any state."""
         ...
 
+    def escalate(self) -> None:
+        """Last resort after a stop that no standstill was measured for: whatever the arm has beyond `stop`.
+
+        Like it, this never blocks and never raises.
+        """
+        ...
+
     def zero_ft(self) -> None:
         """Take the present wrench as zero. Only in free air, and not while engaged."""
         ...

@@ -68,6 +68,9 @@ class InProcessDriver:
     def stop(self) -> None:
         self._pending = [self._commands.stop()]
 
+    def escalate(self) -> None:
+        self.stop()
+
     def zero_ft(self) -> None:
         self._pending.append(self._commands.zero_ft())
 

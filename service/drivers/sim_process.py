@@ -3,7 +3,7 @@
 import subprocess
 import sys
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from socket import create_connection
 
@@ -27,21 +27,48 @@ def simulator(world: str, endpoint: str, mode: str) -> Generator[bool]:
     Raises:
         OSError: it ended at once, or does not listen in time.
     """
-    if _listens(endpoint):
+    arguments = ["serve", "--world", world, "--mode", mode.replace("_", "-"), "--listen", endpoint]
+    with _running(arguments, [endpoint]) as started:
+        yield started
+
+
+@contextmanager
+def emulated_controller(host: str, rtde_port: int, world: str, endpoint: str) -> Generator[bool]:
+    """Have an emulated UR controller at `host`, with its world at `endpoint`, while the context lasts.
+
+    Args:
+        host: address that its services listen on, at the ports that a UR controller has.
+        rtde_port: of one of them.
+        world: name in the keys of its world.
+        endpoint: `tcp/host:port` of its world.
+
+    Yields:
+        Whether it was started here; one that was there before is joined and left running.
+
+    Raises:
+        OSError: it ended at once, or does not listen in time.
+    """
+    arguments = ["ur-controller", "--host", host, "--world", world, "--listen", endpoint]
+    with _running(arguments, [f"tcp/{host}:{rtde_port}", endpoint]) as started:
+        yield started
+
+
+@contextmanager
+def _running(arguments: Sequence[str], endpoints: Sequence[str]) -> Generator[bool]:
+    """Run `python -m sim_backend` with `arguments`, unless something listens at the first endpoint."""
+    if _listens(endpoints[0]):
         yield False
         return
     # Its own session: Ctrl-C reaches the control process alone, which stops the arm before it ends the world.
     process = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "sim_backend", "serve"),
-            *("--world", world, "--mode", mode.replace("_", "-"), "--listen", endpoint),
-        ],
+        [sys.executable, "-m", "sim_backend", *arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         start_new_session=True,
     )
     try:
-        _await_listening(process, endpoint)
+        for endpoint in endpoints:
+            _await_listening(process, endpoint)
         yield True
     finally:
         process.terminate()

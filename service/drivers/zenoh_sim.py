@@ -116,6 +116,9 @@ class ZenohSimDriver:
         self._pending.clear()
         self._send(self._commands.stop())
 
+    def escalate(self) -> None:
+        self.stop()
+
     def zero_ft(self) -> None:
         self._send(self._commands.zero_ft())
 

@@ -11,8 +11,6 @@ from service.drivers.ur import registers
 from service.safety.stop import STANDSTILL_M_S
 from sim_backend.protocol.wire import Program, StopReason
 
-NAME = "dsl_control"
-"""Of the program's `def`, as the controller reports it."""
 STOP_S = 0.1
 """Within it a stop's limit of speed falls to zero, as in the simulated arm."""
 RETRACT_SPEED_M_S = 0.02

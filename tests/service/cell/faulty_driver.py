@@ -86,6 +86,9 @@ class FaultyDriver:
         if not self.deaf_to_stop:
             self._driver.stop()
 
+    def escalate(self) -> None:
+        self._note("escalate")
+
     def zero_ft(self) -> None:
         self._note("zero_ft")
         self._driver.zero_ft()

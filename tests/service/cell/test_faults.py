@@ -355,6 +355,9 @@ async def test_45_the_arm_accepts_a_stop_and_moves_on_stop_unconfirmed(faulty_ce
         assert faulty.bench.cell.runs.find(run.id).code is FaultCode.FORCE_CEILING
         asked = [time_s for time_s in faulty.driver.said("stop") if time_s > at]
         assert len(asked) > 20, "it is asked again and again"
+        escalated = faulty.driver.said("escalate")
+        assert len(escalated) == 1
+        assert escalated[0] - at >= faulty.bench.cell.config.limits.stop_confirm_s, "the last resort comes last"
         faulty.driver.deaf_to_stop = False
         faulty.driver.stop()
 

@@ -1,0 +1,96 @@
+"""Laying out the world of a simulated arm that is driven by a real arm's protocol, which has no word for it."""
+
+import asyncio
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import zenoh
+
+from service.drivers.base import DriverError, Setup
+from service.drivers.sim_wire import task_of
+from service.faults import FaultCode
+from service.transport import QueryRefusedError, close_session, open_session, query
+from sim_backend.protocol import keys, wire
+
+LAY_OUT_S = 30.0
+"""Host time for a simulator to lay out, and perhaps to compile, a world."""
+
+
+@dataclass(frozen=True, slots=True)
+class LaidOut:
+    """A world that was laid out.
+
+    Attributes:
+        episode: how often it was, since its process started.
+        time_s: when, by the arm's clock: samples that are newer show it.
+    """
+
+    episode: int
+    time_s: float
+
+
+class Stage(Protocol):
+    """Whatever can lay out the arm's world; a real arm has none."""
+
+    async def open(self) -> None:
+        """Reach the world; may be called again.
+
+        Raises:
+            OSError: there is no way to it.
+        """
+        ...
+
+    async def lay_out(self, setup: Setup) -> LaidOut:
+        """Have the world as a run wants it.
+
+        Raises:
+            DriverError: it cannot be had.
+        """
+        ...
+
+    async def close(self) -> None:
+        """Release what it holds."""
+        ...
+
+
+class ZenohStage:
+    """The world of an emulated controller, laid out as that of a simulated cell is (`docs/wire.md`).
+
+    Args:
+        world: name in its keys.
+        connect: endpoints of its server.
+    """
+
+    def __init__(self, world: str, connect: Sequence[str]) -> None:
+        self._world = world
+        self._name = f"simulated world sim/{world} at {', '.join(connect)}"
+        self._connect = tuple(connect)
+        self._session: zenoh.Session | None = None
+
+    async def open(self) -> None:
+        if self._session is None:
+            self._session = await asyncio.to_thread(open_session, connect=self._connect)
+
+    async def lay_out(self, setup: Setup) -> LaidOut:
+        payload = json.dumps(task_of(setup).to_json()).encode()
+        if self._session is None:
+            raise DriverError(FaultCode.LINK, f"{self._name}: not connected")
+        try:
+            replies = await query(self._session, keys.RESET.format(world=self._world), payload, LAY_OUT_S)
+        except QueryRefusedError as error:
+            raise DriverError(FaultCode.PROTOCOL, f"{self._name} refused: {error}") from error
+        if len(replies) != 1:
+            text = f"{self._name}: {len(replies)} worlds answered, want one; is the emulated controller running?"
+            raise DriverError(FaultCode.LINK if not replies else FaultCode.SOURCE, text)
+        try:
+            row = wire.decode(replies[0], wire.CAMERA)[0]
+        except wire.WireError as error:
+            raise DriverError(FaultCode.PROTOCOL, f"{self._name}: {error}") from error
+        return LaidOut(episode=int(row["episode"]), time_s=float(row["time_s"]))
+
+    async def close(self) -> None:
+        session, self._session = self._session, None
+        if session is not None:
+            await asyncio.to_thread(close_session, session)

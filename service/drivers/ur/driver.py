@@ -1,0 +1,244 @@
+"""The driver of a Universal Robots e-Series arm, real or emulated: RTDE, the control program, and the dashboard.
+
+The law, the ceiling and the watchdogs run in `control_program.urscript` on the controller. This side tells it targets,
+makes samples of what comes back, and asks an operator's wishes of the dashboard.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable
+
+import structlog
+
+from service.config import CellConfig
+from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, SampleSink, Setup
+from service.drivers.camera import Camera
+from service.drivers.stage import Stage
+from service.drivers.ur import gate, recovery
+from service.drivers.ur.dashboard import DashboardError
+from service.drivers.ur.link import Mode, UrLink
+from service.drivers.ur.program import ProgramError, render
+from service.drivers.ur.registers import Command
+from service.drivers.ur.samples import Package, SampleReader
+from service.faults import FaultCode
+from sim_backend.protocol.wire import TICK_S
+
+FRESH_S = 1.0
+"""Robot's time in which samples and camera frames of a world that was just laid out must come."""
+ESCALATE_S = 1.0
+"""Host time in which an ended program must be measured to have brought the arm to rest; else its power is cut."""
+POLL_S = 0.01
+STANDSTILL_RAD_S = 0.02
+"""Of the fastest joint: below it the arm stands."""
+
+_log = structlog.get_logger("service.drivers")
+
+
+class UrDriver:
+    """One e-Series arm.
+
+    Args:
+        config: of the cell, with a `ur` section.
+        mode: `lockstep` where somebody else advances an emulated controller: time is then the controller's own.
+        clock: monotonic seconds of the host, in real time.
+        camera: says where the hole is; None where nobody does.
+        stage: lays out the world of an emulated controller; None for a real arm.
+
+    Attributes:
+        checks: what the last start-up gate found.
+
+    Raises:
+        ProgramError: no control program can be made of the configuration.
+    """
+
+    tick_s = TICK_S
+    samples_dropped = 0
+
+    def __init__(
+        self,
+        config: CellConfig,
+        *,
+        mode: Mode = "real_time",
+        clock: Callable[[], float] = time.monotonic,
+        camera: Camera | None = None,
+        stage: Stage | None = None,
+    ) -> None:
+        if config.ur is None:
+            raise ProgramError("the configuration has no [ur] section")
+        self.mode: Mode = mode
+        self.name = f"{'emulated ' if config.ur.simulated else ''}UR controller at {config.ur.host}"
+        self.simulated = stage is not None
+        self.checks: tuple[gate.Check, ...] = ()
+        self._ur = config.ur
+        self._preflight = config.preflight
+        self._host_clock = clock
+        self._camera = camera
+        self._stage = stage
+        self._reader = SampleReader(config.ur)
+        self._link = UrLink(config.ur, render(config), mode, clock, self._take, self._lose)
+        self._sink: SampleSink | None = None
+        self._episode = 0
+        self._proven = not (config.ur.simulated if config.ur.prove_watchdog is None else config.ur.prove_watchdog)
+        self._unlocking: asyncio.Task[None] | None = None
+        self._escalation: asyncio.Task[None] | None = None
+
+    @property
+    def clock(self) -> Callable[[], float]:
+        return (lambda: self._link.arrival_s) if self.mode == "lockstep" else self._host_clock
+
+    async def connect(self, sink: SampleSink) -> None:
+        """Reach the controller, pass the gate as far as the arm's state lets it, and let samples flow.
+
+        An arm that is switched off, stopped or in local control is connected all the same: its samples say so, and
+        `prepare` refuses it.
+
+        Raises:
+            DriverError: the controller cannot be reached or cannot run the control program, or its watchdog does not
+                work.
+        """
+        self._sink = None
+        self._episode = 0
+        for helper in (self._camera, self._stage):
+            if helper is not None:
+                await helper.open()
+        await self._link.open()
+        facts = await gate.measure(self._link, self._ur, self._preflight, prove_watchdog=not self._proven)
+        self.checks = gate.judge(facts, self._ur, self._preflight)
+        for check in gate.failures(self.checks):
+            _log.warning("gate", check=check.name, measured=check.measured, remedy=check.remedy)
+            if check.name in gate.UNSAFE:
+                raise DriverError(FaultCode.PROTOCOL, f"{self.name}: {check.text}")
+        self._proven = self._proven or facts.watchdog_s is not None
+        self._sink = sink
+
+    async def prepare(self, setup: Setup) -> None:
+        """Have the arm ready and the control program running, and lay out a simulated world.
+
+        Raises:
+            DriverError: AUTHORITY, the arm is not ours to move; PROTOCOL, a seed for a real arm.
+        """
+        laid_out = None
+        if self._stage is not None:
+            laid_out = await self._stage.lay_out(setup)
+        elif setup.seed is not None:
+            raise DriverError(FaultCode.PROTOCOL, f"{self.name} is real and has no seed: leave it out")
+        facts = await gate.measure_arm(self._link, self._ur)
+        if failed := gate.failures(gate.judge_arm(facts)):
+            raise DriverError(FaultCode.AUTHORITY, "; ".join(check.text for check in failed))
+        await self._link.run_program()
+        if laid_out is None:
+            return
+        self._episode = 0
+        camera = self._camera
+
+        def is_shown(package: Package) -> bool:
+            seen = camera is None or camera.episode == laid_out.episode
+            return package.time_s > laid_out.time_s and seen
+
+        if not await self._link.until(is_shown, FRESH_S):
+            text = f"{self.name}: no samples, or no camera frames, of the world that was laid out"
+            raise DriverError(FaultCode.STALE, text)
+        self._episode = laid_out.episode
+
+    def engage(self, law: ComplianceLaw, limits: Limits) -> None:
+        self._link.outbox.put(
+            Command.ENGAGE,
+            (
+                *law.stiffness.tolist(),
+                *law.damping.tolist(),
+                *law.inertia.tolist(),
+                *law.max_speed.tolist(),
+                *limits.max_step.tolist(),
+                limits.force_ceiling_n,
+                limits.target_age_s,
+            ),
+        )
+
+    def send_target(self, target: PoseTarget) -> int:
+        return self._link.outbox.put(Command.TARGET, (*target.position.tolist(), *target.rotvec.tolist()))
+
+    def stop(self) -> None:
+        self._link.outbox.stop()
+
+    def zero_ft(self) -> None:
+        self._link.outbox.put(Command.ZERO_FT)
+
+    def unlock(self) -> None:
+        if self._unlocking is None or self._unlocking.done():
+            self._unlocking = asyncio.create_task(self._unlock(), name="unlock")
+
+    def escalate(self) -> None:
+        self.stop()
+        if self._escalation is None or self._escalation.done():
+            self._escalation = asyncio.create_task(self._escalate(), name="escalate")
+
+    async def close(self) -> None:
+        self.stop()
+        self._sink = None
+        errands = [task for task in (self._unlocking, self._escalation) if task is not None]
+        await asyncio.gather(*errands, return_exceptions=True)
+        await self._link.close()
+        for helper in (self._camera, self._stage):
+            if helper is not None:
+                await helper.close()
+
+    # --- what arrives
+
+    def _take(self, package: Package, arrival_s: float) -> None:
+        sink, camera = self._sink, self._camera
+        if sink is None:
+            return
+        if self._episode and camera is not None and camera.episode != self._episode:
+            sink.on_link_fault(FaultCode.SOURCE, f"{self.name}: somebody else laid out the world")
+            self._episode = 0
+        estimate = None if camera is None else camera.estimate(self.clock())
+        try:
+            sample = self._reader.read(
+                package,
+                arrival_s,
+                running=self._link.watch.running,
+                episode=self._episode,
+                hole_estimate=estimate,
+            )
+        except ValueError as error:
+            sink.on_link_fault(FaultCode.PROTOCOL, f"{self.name}: {error}: who writes registers 24 to 47?")
+        else:
+            sink.on_sample(sample)
+
+    def _lose(self, code: FaultCode, text: str) -> None:
+        if self._sink is not None:
+            self._sink.on_link_fault(code, text)
+
+    # --- errands to the dashboard
+
+    async def _unlock(self) -> None:
+        try:
+            await recovery.unlock(self._ur)
+        except DashboardError as error:
+            _log.warning("unlock", error=str(error))
+
+    async def _escalate(self) -> None:
+        """End the program; where the arm is then not measured to stand, cut its power."""
+        _log.error("escalate", what="no standstill was measured: the program is ended")
+        try:
+            await recovery.stop_program(self._ur)
+        except DashboardError as error:
+            _log.error("escalate", error=str(error))
+        if await self._comes_to_rest():
+            return
+        try:
+            await recovery.power_off(self._ur)
+        except DashboardError as error:
+            _log.error("escalate", error=str(error))
+        else:
+            _log.error("escalate", what="the arm's power was cut")
+
+    async def _comes_to_rest(self) -> bool:
+        begun = self._link.package
+        end_s = time.monotonic() + ESCALATE_S
+        while time.monotonic() < end_s:
+            package = self._link.package
+            if package is not None and package is not begun and max(map(abs, package.qd)) < STANDSTILL_RAD_S:
+                return True
+            await asyncio.sleep(POLL_S)
+        return False

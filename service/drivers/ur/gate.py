@@ -1,0 +1,325 @@
+"""The start-up gate: what must hold of a controller before its arm is driven, each fact measured, judged and named.
+
+`judge` is pure; `measure` collects the facts over an open link. A check that could not be made is not a passed one.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from math import hypot
+
+import numpy as np
+
+from service.config import PreflightSection, UrSection
+from service.drivers.base import Array, DriverError
+from service.drivers.ur.dashboard import DashboardError
+from service.drivers.ur.link import UrLink
+from service.drivers.ur.recovery import dashboard
+from service.drivers.ur.samples import ROBOT_MODE_RUNNING, SAFETY_MODE_NORMAL, Package, SampleReader
+from service.faults import FaultCode
+
+MIN_VERSION = (5, 10, 0)
+"""PolyScope 5 with `set_target_payload` and `ft_raw_wrench`."""
+END_VERSION = (6, 0, 0)
+MIN_SPEED_FRACTION = 0.999
+PAYLOAD_TOLERANCE_KG = 0.005
+POSITION_TOLERANCE_M = 1e-4
+ROTATION_TOLERANCE_RAD = 1e-3
+ROUND_TRIP_S = 0.1
+"""Through the registers and back, of the robot's time; a quiet network needs a tenth of it."""
+WATCHDOG_MARGIN_S = 0.1
+"""Beyond the watchdog's own period: the controller's reaction, and the program's end."""
+CONFIGURED_S = 1.0
+"""Within it the outputs show the payload and TCP that the program has set."""
+
+UNSAFE = frozenset({"PolyScope", "registers", "payload", "TCP", "watchdog"})
+"""Checks without which a cell is not connected at all. The others are an operator's to put right, with the arm's
+samples in view, and keep a run from starting."""
+
+_ROBOT_MODES = {
+    -1: "NO_CONTROLLER",
+    0: "DISCONNECTED",
+    1: "CONFIRM_SAFETY",
+    2: "BOOTING",
+    3: "POWER_OFF",
+    4: "POWER_ON",
+    5: "IDLE",
+    6: "BACKDRIVE",
+    7: "RUNNING",
+}
+_SAFETY_MODES = {
+    1: "NORMAL",
+    2: "REDUCED",
+    3: "PROTECTIVE_STOP",
+    4: "RECOVERY",
+    5: "SAFEGUARD_STOP",
+    6: "SYSTEM_EMERGENCY_STOP",
+    7: "ROBOT_EMERGENCY_STOP",
+    8: "VIOLATION",
+    9: "FAULT",
+}
+
+
+class Verdict(StrEnum):
+    PASSED = "passed"
+    FAILED = "FAILED"
+    SKIPPED = "skipped"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line of the gate.
+
+    Attributes:
+        name: what is looked at.
+        measured: what was found, with what was wanted.
+        verdict: of it.
+        remedy: what to do where it failed; empty otherwise.
+    """
+
+    name: str
+    measured: str
+    verdict: Verdict
+    remedy: str = ""
+
+    @property
+    def text(self) -> str:
+        """For an error message."""
+        return f"{self.name}: {self.measured}; {self.remedy}"
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What was measured; None where it was not.
+
+    Attributes:
+        version: PolyScope's.
+        remote_control: whether the controller takes programs from the network.
+        package: of the arm's present state.
+        configured: a package taken while the control program runs, with the payload and TCP that it has set.
+        wrenches: (n, 6) N and N·m at the TCP of a standing arm, as the sensor is zeroed now.
+        round_trip_s: of an empty order; infinite when it was lost.
+        watchdog_s: from the last package to the program's end; infinite where it never ended.
+    """
+
+    version: tuple[int, int, int] | None = None
+    remote_control: bool | None = None
+    package: Package | None = None
+    configured: Package | None = None
+    wrenches: Array | None = None
+    round_trip_s: float | None = None
+    watchdog_s: float | None = None
+
+
+def judge(facts: Facts, ur: UrSection, preflight: PreflightSection) -> tuple[Check, ...]:
+    """Judge the facts against the configuration, in the order in which an operator would put things right."""
+    return (*judge_arm(facts), *_judge_program(facts, ur), *_judge_sensor(facts, ur, preflight))
+
+
+def judge_arm(facts: Facts) -> tuple[Check, ...]:
+    """The checks that come before the control program: none of them moves or changes anything."""
+    return tuple(_judge_arm(facts))
+
+
+def failures(checks: tuple[Check, ...]) -> tuple[Check, ...]:
+    """Those that failed."""
+    return tuple(check for check in checks if check.verdict is Verdict.FAILED)
+
+
+async def measure_arm(link: UrLink, ur: UrSection) -> Facts:
+    """Ask the dashboard, and take the newest package.
+
+    Raises:
+        DriverError: LINK, the dashboard or the data are not there.
+    """
+    try:
+        async with dashboard(ur) as client:
+            remote = await client.is_in_remote_control()
+    except DashboardError as error:
+        raise DriverError(FaultCode.LINK, str(error)) from error
+    return Facts(version=link.version, remote_control=remote, package=link.newest)
+
+
+async def measure(link: UrLink, ur: UrSection, preflight: PreflightSection, *, prove_watchdog: bool) -> Facts:
+    """Collect all facts; beyond the arm's own they need the control program, which is sent if it does not run.
+
+    Args:
+        link: open.
+        ur: of the configuration.
+        preflight: says how many samples are judged.
+        prove_watchdog: let the watchdog end the program once, and start it again.
+
+    Raises:
+        DriverError: a fact cannot be had; an arm that fails its own checks is no error, and leaves the rest open.
+    """
+    facts = await measure_arm(link, ur)
+    if failures(judge_arm(facts)):
+        return facts
+    await link.run_program()
+    round_trip_s = await link.exchange(1.0)
+    await link.until(lambda package: not failures(tuple(_judge_tool(package, ur))), CONFIGURED_S)
+    configured = link.newest
+    wrenches = await _window(link, SampleReader(ur), preflight.window_samples)
+    watchdog_s: float | None = None
+    if prove_watchdog:
+        took_s = await link.trip_watchdog(10.0 / ur.watchdog_hz + 1.0)
+        watchdog_s = float("inf") if took_s is None else took_s
+        await link.run_program()
+    return Facts(
+        version=facts.version,
+        remote_control=facts.remote_control,
+        package=facts.package,
+        configured=configured,
+        wrenches=wrenches,
+        round_trip_s=float("inf") if round_trip_s is None else round_trip_s,
+        watchdog_s=watchdog_s,
+    )
+
+
+async def _window(link: UrLink, reader: SampleReader, samples: int) -> Array:
+    taken: list[Array] = []
+    seen = -1
+
+    def take(package: Package) -> bool:
+        nonlocal seen
+        if package.tick != seen:
+            seen = package.tick
+            taken.append(reader.wrench(package))
+        return len(taken) >= samples
+
+    await link.until(take, samples / 50.0)
+    return np.array(taken)
+
+
+def _judge_arm(facts: Facts) -> Iterator[Check]:
+    version = facts.version
+    yield _check(
+        "PolyScope",
+        None if version is None else ".".join(map(str, version)),
+        version is not None and MIN_VERSION <= version < END_VERSION,
+        f"from {'.'.join(map(str, MIN_VERSION))}, below 6",
+        "update the controller's software, or use another one: this driver is written for PolyScope 5",
+    )
+    yield _check(
+        "remote control",
+        None if facts.remote_control is None else ("on" if facts.remote_control else "off"),
+        facts.remote_control is True,
+        "on",
+        "enable it under Settings/System/Remote Control, then switch to it at the top right of the pendant",
+    )
+    package = facts.package
+    yield _check(
+        "safety mode",
+        None if package is None else _SAFETY_MODES.get(package.safety_mode, str(package.safety_mode)),
+        package is not None and package.safety_mode == SAFETY_MODE_NORMAL,
+        "NORMAL",
+        "inspect the cell; after a protective stop `python -m service ur unlock`, else see the pendant",
+    )
+    yield _check(
+        "robot mode",
+        None if package is None else _ROBOT_MODES.get(package.robot_mode, str(package.robot_mode)),
+        package is not None and package.robot_mode == ROBOT_MODE_RUNNING,
+        "RUNNING",
+        "`python -m service ur power-on`, or switch on at the pendant and release the brakes",
+    )
+    yield _check(
+        "speed slider",
+        None if package is None else f"{package.speed_fraction:.0%}",
+        package is not None and package.speed_fraction >= MIN_SPEED_FRACTION,
+        "100%",
+        "move it to 100 % on the pendant: below it the arm does not follow the law at its own pace",
+    )
+
+
+def _judge_tool(package: Package | None, ur: UrSection) -> Iterator[Check]:
+    remedy = "the control program sets what [ur] says: see that nothing else sets it, and that the arm may carry it"
+    if package is None:
+        yield Check("payload", "not measured", Verdict.SKIPPED)
+        yield Check("TCP", "not measured", Verdict.SKIPPED)
+        return
+    mass_good = abs(package.payload_kg - ur.payload_kg) <= PAYLOAD_TOLERANCE_KG
+    centre_good = _distance(package.payload_com, ur.payload_com_m) <= POSITION_TOLERANCE_M
+    yield _check(
+        "payload",
+        f"{package.payload_kg:.3f} kg at {_millimetres(package.payload_com)} mm",
+        mass_good and centre_good,
+        f"{ur.payload_kg:.3f} kg at {_millimetres(ur.payload_com_m)} mm",
+        remedy,
+    )
+    place_good = _distance(package.tcp_offset[:3], ur.tcp_m[:3]) <= POSITION_TOLERANCE_M
+    turn_good = _distance(package.tcp_offset[3:], ur.tcp_m[3:]) <= ROTATION_TOLERANCE_RAD
+    yield _check(
+        "TCP",
+        f"{_millimetres(package.tcp_offset[:3])} mm, {_radians(package.tcp_offset[3:])} rad",
+        place_good and turn_good,
+        f"{_millimetres(ur.tcp_m[:3])} mm, {_radians(ur.tcp_m[3:])} rad",
+        remedy,
+    )
+
+
+def _judge_program(facts: Facts, ur: UrSection) -> Iterator[Check]:
+    trip_s = facts.round_trip_s
+    yield _check(
+        "registers",
+        None if trip_s is None else f"back after {trip_s * 1e3:.0f} ms",
+        trip_s is not None and trip_s <= ROUND_TRIP_S,
+        f"within {ROUND_TRIP_S * 1e3:.0f} ms",
+        "find out who else writes registers 24 to 47 (a field bus, another client), and what loads the network",
+    )
+    yield from _judge_tool(facts.configured, ur)
+    watchdog_s, limit_s = facts.watchdog_s, 1.0 / ur.watchdog_hz + WATCHDOG_MARGIN_S
+    yield _check(
+        "watchdog",
+        None if watchdog_s is None else f"ended the program after {watchdog_s * 1e3:.0f} ms",
+        watchdog_s is not None and watchdog_s <= limit_s,
+        f"within {limit_s * 1e3:.0f} ms",
+        "do not run this cell: an arm would go on without its host. Report the controller's version",
+    )
+
+
+def _judge_sensor(facts: Facts, ur: UrSection, preflight: PreflightSection) -> Iterator[Check]:
+    wrenches = facts.wrenches
+    if wrenches is None or len(wrenches) < 2:
+        yield Check("F/T bias", "not measured", Verdict.SKIPPED)
+        yield Check("F/T noise", "not measured", Verdict.SKIPPED)
+        return
+    mean = wrenches.mean(axis=0)
+    force_n, torque_nm = hypot(*mean[:3].tolist()), hypot(*mean[3:].tolist())
+    limit_n, limit_nm = preflight.unzeroed_force_n, preflight.unzeroed_torque_nm
+    yield _check(
+        "F/T bias",
+        f"{force_n:.1f} N, {torque_nm:.2f} N·m",
+        force_n < limit_n and torque_nm < limit_nm,
+        f"below {limit_n:g} N, {limit_nm:g} N·m",
+        f"free the tool; if it is free, weigh the payload again ({ur.payload_kg:g} kg is configured)",
+    )
+    spread = wrenches.std(axis=0)
+    noise_n, noise_nm = float(spread[:3].max()), float(spread[3:].max())
+    limit_n, limit_nm = preflight.noise_force_n, preflight.noise_torque_nm
+    yield _check(
+        "F/T noise",
+        f"{noise_n:.2f} N, {noise_nm:.3f} N·m",
+        0.0 < noise_n <= limit_n and noise_nm <= limit_nm,
+        f"above 0, at most {limit_n:g} N, {limit_nm:g} N·m",
+        "see that the arm stands, nothing shakes it, and the sensor is connected: one without noise is not measured",
+    )
+
+
+def _check(name: str, found: str | None, good: bool, wanted: str, remedy: str) -> Check:
+    if found is None:
+        return Check(name, "not measured", Verdict.SKIPPED)
+    if good:
+        return Check(name, f"{found} ({wanted})", Verdict.PASSED)
+    return Check(name, f"{found}, wanted {wanted}", Verdict.FAILED, remedy)
+
+
+def _distance(a: tuple[float, ...], b: tuple[float, ...]) -> float:
+    return hypot(*(x - y for x, y in zip(a, b, strict=True)))
+
+
+def _millimetres(values: tuple[float, ...]) -> str:
+    return "[" + ", ".join(f"{value * 1e3:.1f}" for value in values) + "]"
+
+
+def _radians(values: tuple[float, ...]) -> str:
+    return "[" + ", ".join(f"{value:.3f}" for value in values) + "]"

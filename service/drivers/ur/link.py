@@ -1,0 +1,236 @@
+"""The driver's connection to one controller: packages in, orders out, the control program sent and watched."""
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Literal
+
+from service.config import UrSection
+from service.drivers.base import DriverError
+from service.drivers.ur import registers
+from service.drivers.ur.commands import Outbox
+from service.drivers.ur.program import ControlProgram
+from service.drivers.ur.rtde import RtdeClient
+from service.drivers.ur.samples import (
+    OUTPUTS,
+    RUNTIME_PLAYING,
+    RUNTIME_STOPPED,
+    ArrivalClock,
+    Package,
+    ProgramWatch,
+)
+from service.drivers.ur.script_upload import UploadError, upload
+from service.faults import FaultCode
+from sim_backend.protocol.rtde.codec import Decoded
+from sim_backend.protocol.rtde.errors import Reason, RtdeError
+
+Mode = Literal["real_time", "lockstep"]
+
+RATE_HZ = 500.0
+HEARTBEAT_TICKS = 5
+"""Samples between two writings of the input registers. They are written because a sample came, so a host whose loop
+hangs, and one that hears nothing, both fall silent, and the controller's watchdog ends the program."""
+PROGRAM_START_S = 3.0
+"""The controller's time from the upload to the program's first echo."""
+PATIENCE_S = 10.0
+"""Host time beyond which a controller whose own time does not pass is not waited for."""
+
+_CODES = {
+    Reason.IN_USE: FaultCode.AUTHORITY,
+    Reason.NOT_FOUND: FaultCode.PROTOCOL,
+    Reason.UNREACHABLE: FaultCode.LINK,
+    Reason.TIMEOUT: FaultCode.LINK,
+    Reason.CLOSED: FaultCode.LINK,
+    Reason.REFUSED: FaultCode.LINK,
+}
+
+
+class UrLink:
+    """One controller.
+
+    Args:
+        ur: where it is.
+        program: the control program that shall run.
+        mode: in lockstep, time is the controller's own.
+        clock: monotonic seconds of the host.
+        on_package: receives each package and its arrival, once `open` is done.
+        on_lost: receives why the connection ended.
+
+    Attributes:
+        package: the newest.
+        arrival_s: when it arrived, by the clock of the mode.
+        watch: whether the program runs.
+        outbox: of orders.
+    """
+
+    def __init__(
+        self,
+        ur: UrSection,
+        program: ControlProgram,
+        mode: Mode,
+        clock: Callable[[], float],
+        on_package: Callable[[Package, float], None],
+        on_lost: Callable[[FaultCode, str], None],
+    ) -> None:
+        self.package: Package | None = None
+        self.arrival_s = 0.0
+        self.watch = ProgramWatch(program.crc)
+        self.outbox = Outbox(self._write)
+        self._ur = ur
+        self._program = program
+        self._lockstep = mode == "lockstep"
+        self._on_package = on_package
+        self._on_lost = on_lost
+        self._client = RtdeClient(
+            ur.host,
+            ur.rtde_port,
+            clock=clock,
+            on_package=self._take,
+            on_lost=self._lose,
+            timeout_s=ur.connect_s,
+            silence_s=None if self._lockstep else 1.0,
+        )
+        self._arrivals = ArrivalClock()
+        self._arrived = asyncio.Event()
+        self._last_written_tick = 0
+        self._mute = False
+
+    @property
+    def version(self) -> tuple[int, int, int]:
+        """PolyScope's, as the controller itself says; zeros before it was asked."""
+        version = self._client.controller_version
+        return (0, 0, 0) if version is None else (version.major, version.minor, version.bugfix)
+
+    @property
+    def skipped(self) -> int:
+        """Packages that the controller left out on this connection."""
+        return self._client.skipped
+
+    @property
+    def newest(self) -> Package:
+        """The newest package.
+
+        Raises:
+            DriverError: LINK, there is none.
+        """
+        if self.package is None:
+            raise DriverError(FaultCode.LINK, f"{self._client.name}: no data yet")
+        return self.package
+
+    async def open(self) -> None:
+        """Connect, agree on recipes and let data flow; drops an older connection.
+
+        Raises:
+            DriverError: LINK, not reached; AUTHORITY, a register is in use; PROTOCOL, a variable is missing.
+        """
+        self.package = None
+        self._arrivals = ArrivalClock()
+        self.watch.forget()
+        try:
+            await self._client.connect()
+            await self._client.setup(OUTPUTS, RATE_HZ, [registers.INPUT_NAMES])
+            await self._client.start()
+        except RtdeError as error:
+            raise DriverError(_CODES.get(error.reason, FaultCode.PROTOCOL), str(error)) from error
+        self.outbox.begin(self.newest.handled)
+
+    async def close(self) -> None:
+        """End the connection; the watchdog ends the program."""
+        await self._client.close()
+        self.package = None
+
+    async def until(self, condition: Callable[[Package], bool], limit_s: float) -> bool:
+        """Wait for a package that meets `condition`; return whether one came within `limit_s` of the robot's time.
+
+        Raises:
+            DriverError: LINK, the connection ended, or no package came for long.
+        """
+        end_s = self.newest.time_s + limit_s
+        patience_s = time.monotonic() + limit_s + PATIENCE_S
+        while not condition(self.newest):
+            if self.newest.time_s > end_s:
+                return False
+            self._arrived.clear()
+            try:
+                async with asyncio.timeout(max(0.0, patience_s - time.monotonic())):
+                    await self._arrived.wait()
+            except TimeoutError as error:
+                raise DriverError(FaultCode.LINK, f"{self._client.name}: no data any more") from error
+        return True
+
+    async def run_program(self) -> None:
+        """Have the control program run, sending it where it does not; orders from before are forgotten.
+
+        Raises:
+            DriverError: AUTHORITY, another program runs or the controller refuses this one; PROTOCOL, it does not
+                compile there or says nothing after its start.
+        """
+        if self.watch.running or await self._is_alive():
+            return
+        package = self.newest
+        if package.runtime_state != RUNTIME_STOPPED:
+            text = "another program runs or is paused on the controller: stop it on the pendant, then try again"
+            raise DriverError(FaultCode.AUTHORITY, text)
+        self.outbox.begin(package.handled)
+        self.watch.forget()
+        try:
+            await upload(self._ur.host, self._ur.primary_port, self._program.text)
+        except UploadError as error:
+            raise DriverError(FaultCode.AUTHORITY, f"the control program was not started: {error}") from error
+        if not await self.until(lambda _: self.watch.running, PROGRAM_START_S):
+            newest = self.newest
+            text = (
+                f"the control program was sent and does not answer: runtime state {newest.runtime_state}, checksum "
+                f"{newest.crc}, expected {self._program.crc}"
+            )
+            raise DriverError(FaultCode.PROTOCOL, text)
+
+    async def exchange(self, limit_s: float) -> float | None:
+        """Let an empty order go through the registers and back; return the robot's time that it took, None if lost."""
+        begun_s = self.newest.time_s
+        number = self.outbox.begin(self.newest.handled)
+        if not await self.until(lambda package: package.handled == number, limit_s):
+            return None
+        return self.newest.time_s - begun_s
+
+    async def trip_watchdog(self, limit_s: float) -> float | None:
+        """Fall silent until the program is ended; return the robot's time that it took, None if it never was."""
+        begun_s = self.newest.time_s
+        self._mute = True
+        try:
+            ended = await self.until(lambda package: package.runtime_state != RUNTIME_PLAYING, limit_s)
+            took_s = self.newest.time_s - begun_s
+            if ended:
+                await self.until(lambda package: package.runtime_state == RUNTIME_STOPPED, limit_s)
+        finally:
+            self._mute = False
+        return took_s if ended else None
+
+    async def _is_alive(self) -> bool:
+        """On a fresh connection the counter must be seen to move before the program is believed to run."""
+        package = self.newest
+        if package.runtime_state != RUNTIME_PLAYING or package.crc != self._program.crc:
+            return False
+        return await self.until(lambda _: self.watch.running, 0.1)
+
+    def _take(self, values: tuple[Decoded, ...], read_s: float) -> None:
+        package = self.package = Package.of(values)
+        self.arrival_s = package.time_s if self._lockstep else self._arrivals.arrival(package.time_s, read_s)
+        if self.watch.observe(package):
+            self.outbox.observe(package.handled)
+        self._on_package(package, self.arrival_s)
+        if not 0 <= package.tick - self._last_written_tick < HEARTBEAT_TICKS:
+            self.outbox.repeat()
+        self._arrived.set()
+
+    def _write(self, values: tuple[int | float, ...]) -> None:
+        if self._mute:
+            return
+        if self.package is not None:
+            self._last_written_tick = self.package.tick
+        self._client.send(0, values)
+
+    def _lose(self, error: RtdeError) -> None:
+        self.package = None
+        self._arrived.set()
+        self._on_lost(_CODES.get(error.reason, FaultCode.PROTOCOL), str(error))

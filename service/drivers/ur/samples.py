@@ -1,0 +1,238 @@
+"""From RTDE's data packages to the cell's samples: what the controller and the control program say about the arm."""
+
+from collections.abc import Sequence
+from math import cos, hypot, sin
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from service.config import UrSection
+from service.drivers.base import Array, Sample
+from service.drivers.ur import registers
+from sim_backend.protocol import pose
+from sim_backend.protocol.rtde.codec import Decoded
+from sim_backend.protocol.wire import TICK_S, Program, StopReason
+
+ALIVE_S = 0.1
+"""A program whose counter stands for this long does not run. Zeroing the sensor may hold it up for some steps."""
+ROBOT_MODE_RUNNING = 7
+SAFETY_MODE_NORMAL, SAFETY_MODE_PROTECTIVE_STOP = 1, 3
+RUNTIME_STOPPED, RUNTIME_PLAYING = 1, 2
+"""UR's numbering (RTDE guide)."""
+DRIFT = 1e-3
+"""Most that the host's and the robot's clock are taken to drift apart, s per s; quartz does a tenth of it."""
+
+Numbers = tuple[float, ...]
+
+
+class Package(NamedTuple):
+    """One data package, in the order of `OUTPUTS`; units and frames are RTDE's: SI, base axes, poses with rotation
+    vectors.
+    """
+
+    time_s: float
+    q: Numbers
+    qd: Numbers
+    tcp_pose: Numbers
+    tcp_speed: Numbers
+    tcp_force: Numbers
+    ft_raw: Numbers
+    robot_mode: int
+    safety_mode: int
+    runtime_state: int
+    speed_fraction: float
+    payload_kg: float
+    payload_com: Numbers
+    tcp_offset: Numbers
+    accepted: int
+    program: int
+    reason: int
+    crc: int
+    counter: int
+    handled: int
+    peak_force_n: float
+
+    @classmethod
+    def of(cls, values: Sequence[Decoded]) -> "Package":
+        """Name the values of the recipe `OUTPUTS`."""
+        return cls._make(cast("Sequence[float]", values))
+
+    @property
+    def tick(self) -> int:
+        """The controller's step, from its time stamp."""
+        return round(self.time_s / TICK_S)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the arm is powered, its brakes released and its safety system content."""
+        return self.robot_mode == ROBOT_MODE_RUNNING and self.safety_mode == SAFETY_MODE_NORMAL
+
+
+OUTPUTS: tuple[str, ...] = (
+    "timestamp",
+    "actual_q",
+    "actual_qd",
+    "actual_TCP_pose",
+    "actual_TCP_speed",
+    "actual_TCP_force",
+    "ft_raw_wrench",
+    "robot_mode",
+    "safety_mode",
+    "runtime_state",
+    "target_speed_fraction",
+    "payload",
+    "payload_cog",
+    "tcp_offset",
+    *registers.OUTPUT_NAMES,
+)
+"""The driver's output recipe."""
+
+
+class ProgramWatch:
+    """Whether the control program of this checksum runs, by the controller's word and by the program's own counter.
+
+    Output registers keep their values when a program ends, so they alone prove nothing.
+
+    Args:
+        crc: of the program that is meant.
+    """
+
+    def __init__(self, crc: int) -> None:
+        self._crc = crc
+        self._counter: int | None = None
+        self._counted_s = -1.0
+        self.running = False
+
+    def forget(self) -> None:
+        """Believe nothing from before: another connection, or a program that was just sent."""
+        self._counter = None
+        self.running = False
+
+    def observe(self, package: Package) -> bool:
+        """Take in a package; return whether the program runs."""
+        playing = package.runtime_state == RUNTIME_PLAYING and package.crc == self._crc
+        if not playing:
+            self._counter = None
+            self.running = False
+        elif self._counter is None:
+            self._counter = package.counter
+            self._counted_s = package.time_s
+        elif package.counter != self._counter:
+            self._counter = package.counter
+            self._counted_s = package.time_s
+            self.running = True
+        elif package.time_s - self._counted_s > ALIVE_S:
+            self.running = False
+        return self.running
+
+
+class ArrivalClock:
+    """When a package would have arrived had nobody been busy: the host's clock, freed of the event loop's delays.
+
+    Packages that wait in the socket while the loop is held up are all read at once, and would look fresh. The least
+    delay between the robot's stamp and the host's reading is the link's own; whatever is above it was waiting.
+    """
+
+    def __init__(self) -> None:
+        self._offset_s = float("inf")
+        self._stamp_s = 0.0
+
+    def arrival(self, stamp_s: float, read_s: float) -> float:
+        """Arrival on the host's clock, never later than `read_s`.
+
+        Args:
+            stamp_s: the robot's.
+            read_s: when the host read the package.
+        """
+        grown_s = self._offset_s + DRIFT * max(0.0, stamp_s - self._stamp_s)
+        self._offset_s = min(grown_s, read_s - stamp_s)
+        self._stamp_s = stamp_s
+        return stamp_s + self._offset_s
+
+
+class SampleReader:
+    """Makes samples of one controller's packages.
+
+    Args:
+        ur: what the flange carries, and where the sensor ends.
+    """
+
+    def __init__(self, ur: UrSection) -> None:
+        rotation = pose.rotation_from_rotvec(ur.tcp_m[3:])
+        lever: list[float] = (rotation.T @ np.array(ur.tcp_m[:3])).tolist()
+        self._lever = lever if ur.torque_about == "flange" else [0.0, 0.0, 0.0]
+        self._ranges = (ur.force_range_n,) * 3 + (ur.torque_range_nm,) * 3
+        self._time_s = 0.0
+        self._epoch = 1
+
+    def read(
+        self, package: Package, arrival_s: float, *, running: bool, episode: int, hole_estimate: Array | None
+    ) -> Sample:
+        """Turn a package into a sample.
+
+        Args:
+            package: with a time stamp that goes back, the epoch is another.
+            arrival_s: by the driver's clock.
+            running: whether the control program runs.
+            episode: of a simulated world; 0 for a real arm.
+            hole_estimate: (3,) m, if there is one.
+
+        Raises:
+            ValueError: a register holds a state or a reason that the control program does not have.
+        """
+        if package.time_s < self._time_s:
+            self._epoch += 1
+        self._time_s = package.time_s
+        program, reason = self._state(package, running)
+        return Sample(
+            epoch=self._epoch,
+            episode=episode,
+            seq=package.tick,
+            time_s=package.time_s,
+            arrival_s=arrival_s,
+            q=np.array(package.q),
+            qd=np.array(package.qd),
+            tcp_position=np.array(package.tcp_pose[:3]),
+            tcp_rotvec=np.array(package.tcp_pose[3:]),
+            tcp_velocity=np.array(package.tcp_speed),
+            wrench=self.wrench(package),
+            saturated=any(abs(felt) >= end for felt, end in zip(package.ft_raw, self._ranges, strict=True)),
+            hole_estimate=hole_estimate,
+            program=program,
+            stop_reason=reason,
+            robot_mode=package.robot_mode,
+            safety_mode=package.safety_mode,
+            command_seq=package.accepted,
+            peak_force_n=package.peak_force_n,
+        )
+
+    def wrench(self, package: Package) -> Array:
+        """(6,) N and N·m at the TCP, base axes, of a package whose torque may be about the flange."""
+        fx, fy, fz, tx, ty, tz = package.tcp_force
+        x, y, z = _turned(self._lever, package.tcp_pose[3:])
+        return np.array([fx, fy, fz, tx - (y * fz - z * fy), ty - (z * fx - x * fz), tz - (x * fy - y * fx)])
+
+    @staticmethod
+    def _state(package: Package, running: bool) -> tuple[Program, StopReason]:
+        if package.safety_mode == SAFETY_MODE_PROTECTIVE_STOP:
+            return Program.PROTECTIVE_STOP, StopReason.PROTECTIVE_FORCE
+        if not running:
+            return Program.IDLE, StopReason.PROGRAM_ENDED
+        return Program(package.program), StopReason(package.reason)
+
+
+def _turned(vector: Sequence[float], rotvec: Sequence[float]) -> tuple[float, float, float]:
+    """`vector` (3,) turned by a rotation vector (3,), rad, in plain floats (Rodrigues)."""
+    x, y, z = vector
+    rx, ry, rz = rotvec
+    angle = hypot(rx, ry, rz)
+    if angle < 1e-12:
+        return x, y, z
+    kx, ky, kz = rx / angle, ry / angle, rz / angle
+    cosine, sine = cos(angle), sin(angle)
+    along = (kx * x + ky * y + kz * z) * (1.0 - cosine)
+    return (
+        cosine * x + sine * (ky * z - kz * y) + along * kx,
+        cosine * y + sine * (kz * x - kx * z) + along * ky,
+        cosine * z + sine * (kx * y - ky * x) + along * kz,
+    )
