@@ -1,0 +1,169 @@
+"""Sends a program to the controller's primary port, TCP 30001, and returns once it runs, or says why it does not.
+
+A controller takes whatever is sent there and answers nothing; what became of it is read from the messages that the same
+port pushes: started, failed at a line, or refused because the connection was made in local control.
+"""
+
+import asyncio
+import contextlib
+import re
+from collections.abc import AsyncIterator
+from enum import StrEnum
+
+from sim_backend.protocol.primary.errors import PrimaryError
+from sim_backend.protocol.primary.messages import (
+    PROGRAM_STARTED,
+    ErrorCode,
+    Key,
+    Message,
+    ReportLevel,
+    RuntimeException,
+    decode_message,
+)
+from sim_backend.protocol.primary.packages import PORT, PackageReader, PackageType
+from sim_backend.protocol.primary.state import RobotMode, decode_state
+
+__all__ = ["PORT", "Reason", "UploadError", "upload"]
+
+START_TIMEOUT_S = 5.0
+_READ_BYTES = 16384
+_RUNNING = 7  # robot_mode
+_GRAVE = (ReportLevel.VIOLATION, ReportLevel.FAULT, ReportLevel.CRITICAL_FAULT)
+_DEFINITION = re.compile(r"\s*def\s+([A-Za-z_]\w*)\s*\(")
+
+
+class Reason(StrEnum):
+    """Why a program does not run."""
+
+    UNREACHABLE = "unreachable"
+    """No connection."""
+    LOST = "lost"
+    """The connection ended, or what came is not the primary interface."""
+    TIMEOUT = "timeout"
+    """Nothing told in time that the program runs."""
+    NOT_RUNNING = "not_running"
+    """The arm has no power, its brakes are closed, or it is stopped for safety."""
+    NOT_REMOTE = "not_remote"
+    """The robot is, or was when the connection was made, in local control."""
+    SCRIPT = "script"
+    """The program is wrong: it does not compile, or failed as it started."""
+    CONTROLLER = "controller"
+    """The controller reported an error."""
+
+
+class UploadError(Exception):
+    """A program does not run; `reason` says which kind, the text what to do.
+
+    Attributes:
+        reason: for code to match on.
+        line: of the text that was given, from 1; 0 where the error has no place.
+        column: from 1; 0 likewise.
+    """
+
+    def __init__(self, reason: Reason, text: str, line: int = 0, column: int = 0) -> None:
+        super().__init__(text)
+        self.reason = reason
+        self.line = line
+        self.column = column
+
+
+async def upload(host: str, port: int, text: str, *, start_timeout_s: float = START_TIMEOUT_S) -> None:
+    """Run a program on a controller, in place of the one that runs there.
+
+    Args:
+        host: address of the controller.
+        port: its primary port.
+        text: one `def name(): … end`; comments and blank lines may stand before it.
+        start_timeout_s: from connecting until the program runs.
+
+    Raises:
+        UploadError: the program does not run.
+        ValueError: the text does not begin with `def name(`; a secondary program's fate cannot be known.
+    """
+    skipped, program = _begin(text)
+    definition = _DEFINITION.match(program)
+    if definition is None:
+        raise ValueError("a program to upload begins with `def name():`")
+    try:
+        async with asyncio.timeout(start_timeout_s):
+            await _run(host, port, program, definition[1], skipped)
+    except TimeoutError as error:
+        what = f"{host}:{port} did not report within {start_timeout_s:g} s that `{definition[1]}` runs"
+        raise UploadError(Reason.TIMEOUT, f"{what}; is the robot in remote control?") from error
+
+
+def _begin(text: str) -> tuple[int, str]:
+    """Cut off what stands before the program, as controllers may count its lines or not; return how many lines."""
+    lines = text.splitlines()
+    skipped = 0
+    while skipped < len(lines) and not lines[skipped].partition("#")[0].strip():
+        skipped += 1
+    return skipped, "\n".join(lines[skipped:]) + "\n"
+
+
+async def _run(host: str, port: int, program: str, name: str, skipped: int) -> None:
+    try:
+        reader, writer = await asyncio.open_connection(host, port)
+    except OSError as error:
+        raise UploadError(Reason.UNREACHABLE, f"cannot reach the primary port {host}:{port}: {error}") from error
+    try:
+        packages = _packages(reader)
+        await _await_running(packages)
+        writer.write(program.encode())
+        await writer.drain()
+        async for package in packages:
+            if isinstance(package, Message):
+                _raise_error(package, skipped)
+                if isinstance(package, Key) and (package.title, package.text) == (PROGRAM_STARTED, name):
+                    return
+    except (OSError, PrimaryError) as error:
+        raise UploadError(Reason.LOST, f"the connection to {host}:{port} broke: {error}") from error
+    finally:
+        writer.close()
+        with contextlib.suppress(OSError):
+            await writer.wait_closed()
+
+
+async def _packages(reader: asyncio.StreamReader) -> AsyncIterator[RobotMode | Message]:
+    """Yield what the port pushes and matters here, without end."""
+    packages = PackageReader()
+    while data := await reader.read(_READ_BYTES):
+        for kind, content in packages.feed(data):
+            if kind == PackageType.ROBOT_STATE:
+                for part in decode_state(content):
+                    if isinstance(part, RobotMode):
+                        yield part
+            elif kind == PackageType.ROBOT_MESSAGE:
+                message = decode_message(content).message
+                if message is not None:
+                    yield message
+    raise UploadError(Reason.LOST, "the controller closed the connection")
+
+
+async def _await_running(packages: AsyncIterator[RobotMode | Message]) -> None:
+    """Read until the arm's mode is known, and refuse to send a program to one that cannot run it."""
+    async for package in packages:
+        if not isinstance(package, RobotMode):
+            continue
+        if package.is_emergency_stopped:
+            raise UploadError(Reason.NOT_RUNNING, "the arm is emergency-stopped; release, power on, release the brakes")
+        if package.is_protective_stopped:
+            raise UploadError(Reason.NOT_RUNNING, "the arm is in a protective stop; inspect the cause, then unlock it")
+        if package.robot_mode != _RUNNING:
+            text = f"the arm is in robot mode {package.robot_mode}, not {_RUNNING}; power it on and release the brakes"
+            raise UploadError(Reason.NOT_RUNNING, text)
+        return
+
+
+def _raise_error(message: Message, skipped: int) -> None:
+    if isinstance(message, RuntimeException):
+        line = message.line + skipped if message.line > 0 else 0
+        place = f"line {line}, column {message.column}: " if line else ""
+        raise UploadError(Reason.SCRIPT, f"{place}{message.text}", line, message.column)
+    if isinstance(message, ErrorCode):
+        if message.code == ErrorCode.READ_ONLY:
+            text = "the controller takes no program over this connection: switch the robot to remote control, try again"
+            raise UploadError(Reason.NOT_REMOTE, text)
+        if message.level in _GRAVE:
+            text = f"the controller reports C{message.code}A{message.argument}: {message.text or 'no detail'}"
+            raise UploadError(Reason.CONTROLLER, text)
