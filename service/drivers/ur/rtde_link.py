@@ -9,9 +9,9 @@ from sim_backend.protocol.rtde.codec import FrameReader, PackageType
 from sim_backend.protocol.rtde.errors import PackageError, Reason, RtdeError
 from sim_backend.protocol.rtde.messages import TextMessage
 
-SEND_BUFFER = 8192
-"""Of the socket, bytes: with the system's book-keeping a handful of small packages. What a dead link holds back is as
-little as that, and nothing older reaches the arm when it comes back."""
+SEND_BUFFER = 2048
+"""Of the socket, bytes; the smallest that Linux has, which is about six packages. A dead link holds back no more than
+those, so nothing older reaches the arm when the link comes back."""
 
 _DATA = int(PackageType.DATA)
 _TYPES = frozenset(int(kind) for kind in PackageType)

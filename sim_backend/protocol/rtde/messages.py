@@ -18,6 +18,7 @@ PROTOCOL_VERSION = 2
 NAMES_LIMIT = 2048
 """Bytes of a list of variable names, commas included."""
 
+_LENGTHS = "the lengths inside a text message do not add up"
 _VERSION = struct.Struct(">H")
 _CONTROLLER = struct.Struct(">4I")
 _FREQUENCY = struct.Struct(">d")
@@ -210,7 +211,7 @@ class TextMessage:
 
     def encode_v1(self) -> bytes:
         """Return the message as a controller sends it in protocol version 1."""
-        return frame(PackageType.TEXT, bytes([self.level]) + self.message.encode())
+        return frame(PackageType.TEXT, bytes([self.level]) + self.message.encode(errors="replace"))
 
     @classmethod
     def decode(cls, payload: bytes) -> Self:
@@ -219,11 +220,10 @@ class TextMessage:
         Raises:
             PackageError: the lengths inside do not add up.
         """
-        source_at = 1 + payload[0] if payload else 0
-        level_at = source_at + 1 + payload[source_at] if 0 < source_at < len(payload) else -1
-        _check(level_at == len(payload) - 1, "the lengths inside a text message do not add up", payload)
-        text, source = payload[1:source_at], payload[source_at + 1 : level_at]
-        return cls(text.decode(errors="replace"), source.decode(errors="replace"), payload[level_at])
+        message, rest = _take_text(payload)
+        source, level = _take_text(rest)
+        _check(len(level) == 1, _LENGTHS, payload)
+        return cls(message, source, level[0])
 
     @classmethod
     def decode_v1(cls, payload: bytes) -> Self:
@@ -259,5 +259,12 @@ def _split(payload: bytes) -> tuple[str, ...]:
 
 def _encode_text(text: str) -> bytes:
     """A length byte and the text, cut at 255 bytes without cutting a character."""
-    encoded = text.encode()[:0xFF].decode(errors="ignore").encode()
+    encoded = text.encode(errors="replace")[:0xFF].decode(errors="ignore").encode()
     return bytes([len(encoded)]) + encoded
+
+
+def _take_text(payload: bytes) -> tuple[str, bytes]:
+    """Return a text that starts with its length, and what comes after it."""
+    end = 1 + payload[0] if payload else 1
+    _check(end <= len(payload), _LENGTHS, payload)
+    return payload[1:end].decode(errors="replace"), payload[end:]

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from service.drivers.ur.rtde import RtdeClient
-from service.drivers.ur.rtde_link import SEND_BUFFER, LinkError
+from service.drivers.ur.rtde_link import LinkError
 from sim_backend.protocol.rtde.codec import PackageType, Recipe, frame
 from sim_backend.protocol.rtde.errors import FramingError, PackageError, Reason, RtdeError, SetupError
 from sim_backend.protocol.rtde.fields import OUTPUTS
@@ -370,7 +370,7 @@ async def test_an_input_that_cannot_leave_now_is_dropped_and_never_sent_later(
         if number % 100 == 0:
             await asyncio.sleep(0)
     assert client.dropped == 20_000 - sent
-    assert sent * 16 < 8 * SEND_BUFFER
+    assert sent < 1000  # of 16 bytes, with what the proxy's own buffers take
     assert client.ready  # data still arrive: it is the caller who judges
     proxy.to_service.resume()
     await until(lambda: len(robot.received) == sent)
