@@ -170,7 +170,7 @@ class Gripper:
         if status.is_active and status.fault == 0:
             return status
         await self._set(ACT=0, ATR=0)
-        await self._until(lambda seen: seen.activation == Activation.RESET, "to reset", REPLY_TIMEOUT_S)
+        await self._until(lambda seen: seen.activation == Activation.RESET, "to reset", REPLY_TIMEOUT_S, resets=True)
         await self._set(ACT=1)
         return await self._until(lambda seen: seen.is_active, "to activate", ACTIVATION_TIMEOUT_S)
 
@@ -208,17 +208,21 @@ class Gripper:
             lambda seen: seen.requested == position and not seen.is_moving, "to come to rest", MOTION_TIMEOUT_S
         )
 
-    async def _until(self, done: Callable[[Status], bool], what: str, timeout_s: float) -> Status:
+    async def _until(
+        self, done: Callable[[Status], bool], what: str, timeout_s: float, *, resets: bool = False
+    ) -> Status:
         clock = asyncio.get_running_loop().time
         deadline_s = clock() + timeout_s
-        while not done(status := await self.status()):
-            if status.fault >= _GRAVE_FAULT:
+        while True:
+            status = await self.status()
+            if status.fault >= _GRAVE_FAULT and not resets:
                 text = f"the gripper reports fault {status.fault}; see its manual, then activate it again"
                 raise GripperError(Reason.FAULT, text)
+            if done(status):
+                return status
             if clock() > deadline_s:
                 raise GripperError(Reason.TIMEOUT, f"the gripper took more than {timeout_s:g} s {what}: {status}")
             await asyncio.sleep(POLL_S)
-        return status
 
     async def _set(self, **values: int) -> None:
         request = "SET " + " ".join(f"{name} {value}" for name, value in values.items())

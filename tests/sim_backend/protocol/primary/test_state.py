@@ -109,7 +109,7 @@ def test_any_bytes_are_a_state_or_malformed(content: bytes) -> None:
 
 @pytest.mark.parametrize("size", [0, 4, 7, 9, 2**32 - 1])
 def test_a_part_that_claims_another_size_is_malformed(size: int) -> None:
-    with pytest.raises(PrimaryError, match="sub-package 12|ToolMode") as raised:
+    with pytest.raises(PrimaryError, match=r"sub-package 12|ToolMode") as raised:
         state.decode_state(struct.pack(">IB", size, 12) + b"abc")
     assert raised.value.reason is Reason.MALFORMED
 
