@@ -273,6 +273,15 @@ class World:
         """(n,) resultant of the true contact force on the gripper and the peg, N, gravity and inertia included."""
         return np.sqrt((self._load[:, :3] ** 2).sum(axis=1))
 
+    @property
+    def momentum(self) -> Array:
+        """(n, 3) linear momentum of the arm and what it carries, base frame, kg·m/s."""
+        moving = slice(self._scene.model.body("base").id, self._scene.peg_body + 1)
+        velocity = self._batch.bind("cvel")[:, moving]  # about the centre of mass of the whole, rotation first
+        arm = self._batch.bind("xipos")[:, moving] - self._batch.bind("subtree_com")[:, moving.start, None]
+        linear = velocity[..., 3:] + np.cross(velocity[..., :3], arm)
+        return (self._mass[:, moving, None] * linear).sum(1)
+
     def _measure(self) -> None:
         self.joints = self._qpos[:, :6].copy()
         self.position = self._tcp_position.copy()

@@ -1,5 +1,6 @@
 """One simulated arm with its tool, as its controller sees it: joints that it drives, and all that it can measure."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -8,7 +9,9 @@ import numpy.typing as npt
 
 from sim_backend import kinematics, scene
 from sim_backend.arm import KINEMATICS_TICKS
+from sim_backend.kinematics import UR3E
 from sim_backend.protocol.task import Part, Task
+from sim_backend.protocol.wire import TICK_S
 from sim_backend.servo import JointServo, gains
 from sim_backend.ur_controller.geometry import (
     Rotation,
@@ -22,6 +25,7 @@ from sim_backend.ur_controller.geometry import (
     rotate,
     rotation_of,
     rotvec_of,
+    transpose,
 )
 from sim_backend.world import World
 
@@ -56,6 +60,8 @@ class Plant:
         payload_kg: configured payload; at first the scene's, as are the next two.
         payload_cog: (3,) its centre in the flange's frame, m.
         payload_inertia: (6,) Ixx Iyy Izz Ixy Ixz Iyz, kg·m²; reported, and without effect.
+        external_wrench: (6,) of a sensor that is not the arm's own, about the flange, flange axes, zeroed by whoever
+            reads it; where it is set, `wrench` comes from it instead.
         input_delay: ticks from a command's arrival to its effect in this episode.
         on_placed: called after the arm was put somewhere else.
     """
@@ -69,6 +75,7 @@ class Plant:
         self.payload_kg = scene.PAYLOAD_KG
         self.payload_cog: tuple[float, ...] = (0.0, 0.0, scene.PAYLOAD_COM_M)
         self.payload_inertia: tuple[float, ...] = (0.0,) * 6
+        self.external_wrench: Sequence[float] | None = None
         self._tool_rotation = rotation_of(0.0, 0.0, 0.0)
         self._stiffness, self._damping = gains(world.model())
         self._servo = JointServo(1, self._stiffness, self._damping, self.payload_kg, self.payload_cog)
@@ -85,6 +92,7 @@ class Plant:
         if self._phase == 0:
             self._servo.refresh(_ONLY, q_target[None])
         self._phase = (self._phase + 1) % KINEMATICS_TICKS
+        self._before = self.q, self.qd
         set_points = self._servo.set_points(q_target, qd_target)
         self.set_points = set_points[0]
         self.world.drive(set_points)
@@ -151,6 +159,17 @@ class Plant:
         """Measured twist of the configured TCP, base axes, m/s and rad/s."""
         return (jacobian_of(self.q.tolist(), self.tcp_pose()[:3]) @ self.qd).tolist()
 
+    def tcp_acceleration(self) -> list[float]:
+        """Change of `tcp_speed` over the last tick, m/s² and rad/s²."""
+        q, qd = self._before
+        before = self.jacobian_of(q.tolist()) @ qd
+        return ((np.array(self.tcp_speed()) - before) / TICK_S).tolist()
+
+    def tool_acceleration(self) -> list[float]:
+        """What an accelerometer at the TCP reads (3,), flange axes, m/s²: at rest the reaction to gravity."""
+        x, y, z, *_ = self.tcp_acceleration()
+        return list(rotate(transpose(self.flange()[1]), (x, y, z + kinematics.GRAVITY_M_S2)))
+
     def flange_wrench(self) -> list[float]:
         """`wrench`, with the torque about the flange's origin instead of the TCP."""
         force, moment = self.wrench[:3].tolist(), self.wrench[3:].tolist()
@@ -162,6 +181,30 @@ class Plant:
         """(6,) torque of the joint servos, N·m, without the weight of the links."""
         torque = self._stiffness * (self.set_points - self.q) - self._damping * self.qd
         return np.clip(torque, -kinematics.JOINT_TORQUE_NM, kinematics.JOINT_TORQUE_NM)
+
+    def payload_torques(self) -> Array:
+        """(6,) of `joint_torques` what carries the configured payload at rest, N·m."""
+        lift = kinematics.jacobian(self.q, np.array(self.payload_cog))[2]
+        return self.payload_kg * kinematics.GRAVITY_M_S2 * lift
+
+    def elbow(self) -> tuple[list[float], list[float]]:
+        """Position (3,), m, and velocity (3,), m/s, of the elbow, where the upper arm ends."""
+        q1, q2 = self.q[:2].tolist()
+        rate1, rate2 = self.qd[:2].tolist()
+        length = UR3E[1].a_m
+        reach, height = length * math.cos(q2), length * math.sin(q2)
+        c1, s1 = math.cos(q1), math.sin(q1)
+        position = [c1 * reach, s1 * reach, UR3E[0].d_m + height]
+        velocity = [
+            -s1 * reach * rate1 - c1 * height * rate2,
+            c1 * reach * rate1 - s1 * height * rate2,
+            reach * rate2,
+        ]
+        return position, velocity
+
+    def momentum(self) -> float:
+        """Norm of the arm's linear momentum, tool included, kg·m/s."""
+        return float(np.linalg.norm(self.world.momentum[0]))
 
     def flange_pose_of(self, q: Sequence[float]) -> list[float]:
         """Pose of the flange at joint angles (6,)."""
@@ -227,6 +270,7 @@ class Plant:
         self.input_delay = int(self.world.target_delay[0])
         self.set_points = self.world.joints[0]
         self._measure()
+        self._before = self.q, self.qd
 
     def _measure(self) -> None:
         world = self.world
@@ -235,3 +279,8 @@ class Plant:
         self.saturated = bool(world.sensor.saturated[0])
         self._flange: tuple[Vector, Rotation] | None = None
         self._pose: list[float] | None = None
+        if self.external_wrench is not None:
+            rotation, force = self.flange()[1], self.external_wrench[:3]
+            turned = cross(self.tcp_offset[:3], force)
+            moment = [a - b for a, b in zip(self.external_wrench[3:], turned, strict=True)]
+            self.wrench = np.array((*rotate(rotation, force), *rotate(rotation, moment)))
