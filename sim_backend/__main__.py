@@ -1,8 +1,12 @@
-"""Command line of the simulated cell: `python -m sim_backend` serves it, `python -m sim_backend render` draws it."""
+"""Command line of the simulated cell: `python -m sim_backend` serves it over Zenoh, `… ur-controller` over UR's own
+protocols, `… render` draws it.
+"""
 
+import contextlib
 import os
 import signal
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, NoReturn, get_args
@@ -18,7 +22,13 @@ from sim_backend.cell import SimulatedCell
 from sim_backend.protocol.task import Part, Task
 from sim_backend.realtime import request_scheduling
 from sim_backend.server import Mode, Server
-from sim_backend.session import DEFAULT_ENDPOINT, DEFAULT_WORLD, EndpointError, open_session
+from sim_backend.session import DEFAULT_ENDPOINT, DEFAULT_WORLD, EndpointError, check_host, open_session
+from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.listener import ListenError
+from sim_backend.ur_controller.plant import Plant
+from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer, Ports
+from sim_backend.ur_controller.stage import Stage
+from sim_backend.world import World
 
 EXIT_USAGE = 2
 """The request cannot be met as stated: a bad option, a port in use."""
@@ -65,6 +75,47 @@ def serve(
         typer.echo(f"ready world={world} mode={mode} epoch={cell.epoch} listen={','.join(endpoints)}")
         sys.stdout.flush()
         server.run()
+
+
+@app.command("ur-controller")
+def ur_controller(
+    host: Annotated[str, typer.Option(help="Address of this machine that the controller has.")] = "127.0.0.1",
+    any_ports: Annotated[bool, typer.Option(help="Take free ports instead of UR's; the ready line tells.")] = False,
+    part: Annotated[str, typer.Option(help=f"Peg and hole of the first episode: {_PARTS}.")] = "tr",
+    seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
+    world: Annotated[str, typer.Option(help="Name of the world in its Zenoh keys, sim/<world>/….")] = DEFAULT_WORLD,
+    listen: Annotated[
+        list[str] | None, typer.Option(help="Zenoh endpoint for what surrounds the arm; none unless given.")
+    ] = None,
+    allow_remote: Annotated[bool, typer.Option(help="Allow addresses outside this machine.")] = False,
+) -> None:
+    """Serve an emulated e-Series controller whose arm is the simulated one, until SIGINT, SIGTERM or its shutdown."""
+    _exit_on_signals()
+    with contextlib.ExitStack() as stack:
+        try:
+            task = Task.from_json({"seed": seed, "part": part})
+            check_host(host, allow_remote=allow_remote)
+            refused = request_scheduling()  # before Zenoh starts its threads, as in `serve`
+            session = stack.enter_context(open_session(listen, allow_remote=allow_remote)) if listen else None
+            plant = Plant(World(1, task.part))
+            plant.lay_out(task)
+            controller = Controller(plant)
+            server = stack.enter_context(
+                contextlib.closing(ControllerServer(controller, host, ANY_PORTS if any_ports else Ports()))
+            )
+            stage = Stage(controller, server, session, world, refused) if session is not None else None
+        except (ListenError, ValueError) as error:
+            _fail(str(error), EXIT_USAGE)
+        if stage is not None:
+            stack.enter_context(contextlib.closing(stage))
+        for line in refused:
+            typer.echo(f"degraded: {line}", err=True)
+        ready = {"host": host, **asdict(server.ports)}
+        if stage is not None:
+            ready |= {"world": world, "epoch": stage.epoch, "listen": ",".join(listen or [])}
+        typer.echo(" ".join(["ready", *(f"{name}={value}" for name, value in ready.items())]))
+        sys.stdout.flush()
+        server.run(stage)
 
 
 @app.command()

@@ -4,7 +4,7 @@ Source: UR's RTDE guide; where it is silent, what UR's own clients and `ur_rtde`
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sim_backend.protocol.rtde.codec import REQUEST_LIMIT, FrameReader, PackageType, Recipe, Value
@@ -186,7 +186,7 @@ class RtdeService:
         """A client's message for PolyScope's log, which nobody reads here; it must be one all the same."""
         TextMessage.decode(payload)
 
-    def _type_of(self, name: str, table: dict[str, FieldType]) -> str:
+    def _type_of(self, name: str, table: Mapping[str, FieldType]) -> str:
         kind = table.get(name)
         if kind is None or SINCE.get(name, (0, 0, 0)) > self._version[:3]:
             return Reason.NOT_FOUND

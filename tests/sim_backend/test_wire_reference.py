@@ -12,6 +12,8 @@ import pytest
 
 from sim_backend import answers, server
 from sim_backend.protocol import keys, task, wire
+from sim_backend.ur_controller.server import Counters as UrCounters
+from sim_backend.ur_controller.stage import PRESSES
 
 DOCUMENT = (Path(__file__).parents[2] / "docs" / "wire.md").read_text(encoding="utf-8")
 
@@ -58,6 +60,14 @@ def test_task_table_gives_fields_and_defaults() -> None:
     assert [[row[0], row[2].strip("`")] for row in rows("Task")] == fields
     for name in (*get_args(task.Part), *get_args(task.Conditions)):
         assert f"`{name}`" in section("Task")
+
+
+def test_the_emulated_controllers_section_names_presses_and_counters() -> None:
+    text = section("An emulated UR controller")
+    presses = [name for row in rows("An emulated UR controller") for name in re.findall(r"[a-z_]+", row[0])]
+    assert sorted(presses) == sorted(PRESSES)
+    for counter in dataclasses.fields(UrCounters):
+        assert f"`{counter.name}`" in text
 
 
 def test_numbers_in_the_prose_are_those_of_the_code() -> None:
