@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.geometry import Rotation, Vector, rotate, rotation_of, transpose
 
-DEFAULT_DAMPING, DEFAULT_GAIN = 0.025, 1.0
+DEFAULT_DAMPING, DEFAULT_GAIN = 0.005, 1.0
 """What `force_mode_set_damping` and `force_mode_set_gain_scaling` set, before they do."""
 
-_MASS = (20.0, 20.0, 20.0, 0.2, 0.2, 0.2)
-_DAMPING = (1000.0, 1000.0, 1000.0, 10.0, 10.0, 10.0)
+_MASS = (3.0, 3.0, 3.0, 0.1, 0.1, 0.1)
+_DAMPING = (300.0, 300.0, 300.0, 5.0, 5.0, 5.0)
 """kg and N·s/m, kg·m² and N·m·s/rad at the default damping. The contact's stiffness over the damping is the loop's
 bandwidth, 17 rad/s at 1.7e4 N/m: far enough below what the sensor's delay and the joints' lag allow."""
 
@@ -62,7 +62,13 @@ class ForceMode:
         self._kind = kind
 
     def step(
-        self, program: Sequence[float], point: Vector, measured: Sequence[float], damping: float, gain: float
+        self,
+        program: Sequence[float],
+        point: Vector,
+        measured: Sequence[float],
+        damping: float,
+        gain: float,
+        fraction: float,
     ) -> list[float]:
         """Twist (6,) of the TCP for the next tick, base frame.
 
@@ -72,6 +78,7 @@ class ForceMode:
             measured: (6,) wrench on the tool at the TCP, base axes.
             damping: 0 … 1.
             gain: 0 … 2.
+            fraction: of the full speed, 0 … 1; a paused program does not give way either.
         """
         if self._kind == 1:
             self._axes = _facing(self._given, point, self._origin)
@@ -80,14 +87,14 @@ class ForceMode:
         axes, back = self._axes, transpose(self._axes)
         asked = (*rotate(back, program[:3]), *rotate(back, program[3:]))
         felt = (*rotate(back, measured[:3]), *rotate(back, measured[3:]))
-        drag = TICK_S * math.sqrt(damping / DEFAULT_DAMPING)
+        drag = TICK_S * (damping / DEFAULT_DAMPING) ** 0.25
         speed = self._speed
         twist = [0.0] * 6
         for i in _AXES:
             if self._selection[i]:
                 push = TICK_S * gain * (self._wrench[i] + felt[i])
                 value = (_MASS[i] * speed[i] + push) / (_MASS[i] + drag * _DAMPING[i])
-                limit = self._limits[i]
+                limit = self._limits[i] * fraction
                 twist[i] = speed[i] = max(-limit, min(limit, value))
             else:
                 twist[i], speed[i] = asked[i], 0.0

@@ -6,27 +6,18 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from sim_backend.kinematics import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S, KinematicsError, singularity_margin
+from sim_backend.kinematics import KinematicsError, singularity_margin
 from sim_backend.protocol.wire import TICK_S
-from sim_backend.ur_controller.geometry import (
-    Rotation,
-    Vector,
-    flange_of,
-    multiply,
-    rotate,
-    rotation_of,
-    rotvec_of,
-    transpose,
-)
+from sim_backend.ur_controller.geometry import multiply, rotation_of, rotvec_of, transpose
 from sim_backend.ur_controller.plant import Plant
 
 from .cartesian import Arc, Line, PathMover, ServoC, SpeedL, standing
 from .contact import ContactMemory
-from .differential import joint_rates, tool_twist
 from .force import DEFAULT_DAMPING, DEFAULT_GAIN, ForceMode
 from .joint import MoveJ, ServoJ, SpeedJ, leading_speed
 from .mover import JointMover, Mover, ToolMover
 from .profile import Trapezoid
+from .target import CannotMove, JointTarget
 
 Array = npt.NDArray[np.float64]
 
@@ -40,11 +31,6 @@ FREEDRIVE_SPEED = 0.25
 NEAR_SINGULARITY, TOO_NEAR_SINGULARITY = 0.2, 0.05
 """Margins, as `kinematics.singularity_margin`, at which the status of freedrive changes. An assumption."""
 
-_RANGE: tuple[float, ...] = tuple(JOINT_RANGE_RAD.tolist())
-_SPEED: tuple[float, ...] = tuple(JOINT_SPEED_RAD_S.tolist())
-_REST = np.zeros(6)
-_REST.setflags(write=False)
-
 
 class Motion:
     """The joint target of one arm.
@@ -56,7 +42,6 @@ class Motion:
         plant: the arm; its configured TCP is what tool motions move.
 
     Attributes:
-        q_target, qd_target, qdd_target: (6,) rad, rad/s, rad/s²; replaced, never changed in place.
         speed_fraction: share of the full speed at which programs move now; follows what `advance` is given.
         fault: why the arm cannot go on, or None: what the controller has to make a protective stop of.
         owner: the thread that moves the arm; motion builtins keep it.
@@ -66,6 +51,7 @@ class Motion:
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
+        self._target = JointTarget(plant)
         self.speed_fraction = 1.0
         self.owner: object | None = None
         self.force_damping, self.force_gain = DEFAULT_DAMPING, DEFAULT_GAIN
@@ -79,19 +65,11 @@ class Motion:
         self._force: ForceMode | None = None
         self._freedrive = False
         self._displaced = False
-        self._twist: list[float] | None = None
-        self._reference: tuple[Vector, Rotation] | None = None
-        self._offset = self._plant.tcp_offset
-        self._tool_rotation = rotation_of(*self._offset[3:])
         self._rest_ticks = 0
         self.memory.forget()
         self.owner = None
         self.fault: str | None = None
-        self._q: list[float] = self._plant.q.tolist()
-        self._qd = [0.0] * 6
-        self.q_target: Array = np.array(self._q)
-        self.qd_target: Array = _REST
-        self.qdd_target: Array = _REST
+        self._target.take_measured()
 
     def hold(self) -> None:
         """Bring whatever moves to rest, as at the end of a program; force mode and freedrive end."""
@@ -108,7 +86,22 @@ class Motion:
     @property
     def moving(self) -> bool:
         """Whether the joint target moves."""
-        return any(self._qd)
+        return self._target.moving
+
+    @property
+    def q_target(self) -> Array:
+        """(6,) rad; replaced, never changed in place, as are the next two."""
+        return self._target.q_array
+
+    @property
+    def qd_target(self) -> Array:
+        """(6,) rad/s."""
+        return self._target.qd_array
+
+    @property
+    def qdd_target(self) -> Array:
+        """(6,) rad/s²."""
+        return self._target.qdd_array
 
     @property
     def ready(self) -> bool:
@@ -130,14 +123,11 @@ class Motion:
 
     def target_tcp_pose(self) -> list[float]:
         """Pose of the configured TCP at the joint target."""
-        position, rotation = self._tool()
-        return [*position, *rotvec_of(rotation)]
+        return self._target.pose()
 
     def target_tcp_speed(self) -> list[float]:
         """Twist (6,) of the configured TCP at the joint target, base axes."""
-        if self._twist is not None:
-            return list(self._twist)
-        return tool_twist(self._q, self._tool()[0], self._qd) if self.moving else [0.0] * 6
+        return self._target.twist()
 
     def waypoint(self) -> list[float]:
         """Pose at which the present move ends; where the arm is to be when there is no such move."""
@@ -163,27 +153,14 @@ class Motion:
         mover = self._mover
         if mover is None and self._force is None and not self._freedrive:
             self._rest_ticks += 1
-            if self.moving:
-                self._publish(self._q, [0.0] * 6)
-            else:
-                self.qdd_target = _REST
+            self._target.rest()
             return
         self._rest_ticks = 0
-        if self._freedrive and self._force is None:
-            self._reference = self._twist = None
-            self._publish(self._plant.q.tolist(), [0.0] * 6)
+        try:
+            self._step(mover)
+        except CannotMove as error:
+            self._fail(str(error))
             return
-        if self._offset is not self._plant.tcp_offset:
-            self._retool()
-            mover = self._mover
-        if self._displaced:
-            self._displace(mover)
-        elif isinstance(mover, JointMover):
-            self._reference = self._twist = None
-            self._publish(*mover.step(self.speed_fraction))
-        elif isinstance(mover, ToolMover):
-            position, rotation, self._twist = mover.step(self.speed_fraction)
-            self._follow(position, rotation)
         if mover is not None and mover is self._mover and mover.done:
             self._mover = None
             if self._queued is not None:
@@ -194,7 +171,7 @@ class Motion:
         """Start a straight move in joint space to `target` (6,) rad: rad/s², rad/s, s, blend radius m."""
 
         def build(tail: MoveJ | None) -> MoveJ:
-            start = self._q if tail is None else tail.target
+            start = self._target.q if tail is None else tail.target
             path = [goal - here for here, goal in zip(start, target, strict=True)]
             length = max(abs(d) for d in path)
             profile = Trapezoid(length, leading_speed(path, v) if length else v, a, t)
@@ -211,7 +188,7 @@ class Motion:
             return
 
         def build(tail: PathMover | None) -> PathMover:
-            return Line(self._tool() if tail is None else tail.end, end, (v, a, t), r, tail)
+            return Line(self._target.tool() if tail is None else tail.end, end, (v, a, t), r, tail)
 
         mover = self._mover
         self._begin(build, mover if isinstance(mover, PathMover) and mover.ready else None)
@@ -229,7 +206,7 @@ class Motion:
             return
 
         def build(tail: PathMover | None) -> PathMover:
-            start = self._tool() if tail is None else tail.end
+            start = self._target.tool() if tail is None else tail.end
             return Arc(start, via[:3], standing(target), (v, a), r, fixed, tail)
 
         mover = self._mover
@@ -242,14 +219,14 @@ class Motion:
         if isinstance(mover, SpeedJ):
             mover.command(qd, a, t)
         else:
-            self._take(SpeedJ(self._q, self._qd, qd, a, t))
+            self._take(SpeedJ(self._target.q, self._target.qd, qd, a, t))
 
     def speedl(self, twist: Sequence[float], a: float, t: float, a_rot: float) -> None:
         """Move the TCP at `twist` (6,), base axes, for `t` s, or until there is another command where `t` is 0."""
         self._queued = None
         mover = self._mover
-        if not isinstance(mover, SpeedL) or self._offset is not self._plant.tcp_offset:
-            mover = SpeedL(self._tool(), self.target_tcp_speed())
+        if not isinstance(mover, SpeedL) or self._target.retooled:
+            mover = SpeedL(self._target.tool(), self.target_tcp_speed())
             self._take(mover)
         mover.command(twist, a, a_rot, t)
 
@@ -264,7 +241,7 @@ class Motion:
         if not self.moving:
             self._take(None)
             return
-        mover = SpeedL(self._tool(), self.target_tcp_speed())
+        mover = SpeedL(self._target.tool(), self.target_tcp_speed())
         mover.command([0.0] * 6, a, a_rot, 0.0)
         self._take(mover)
 
@@ -273,7 +250,7 @@ class Motion:
         self._queued = None
         mover = self._mover
         if not isinstance(mover, ServoJ):
-            mover = ServoJ(self._q, self._qd)
+            mover = ServoJ(self._target.q, self._target.qd)
             self._take(mover)
         mover.command(target, t, lookahead_s, gain)
 
@@ -281,8 +258,8 @@ class Motion:
         """Go to the pose `target` at constant speed, from the present motion; see `cartesian.ServoC`."""
         self._queued = None
         mover = self._mover
-        if not isinstance(mover, ServoC) or self._offset is not self._plant.tcp_offset:
-            mover = ServoC(self._tool(), self.target_tcp_speed())
+        if not isinstance(mover, ServoC) or self._target.retooled:
+            mover = ServoC(self._target.tool(), self.target_tcp_speed())
             self._take(mover)
         mover.command(standing(target), v, a, r)
 
@@ -306,7 +283,6 @@ class Motion:
         """Leave force mode; the arm stays where the force has taken it, and a move that is on its way goes on."""
         if self._force is not None:
             self._force = None
-            self._twist = None
             if self._mover is None:
                 self.abandon()
 
@@ -327,13 +303,13 @@ class Motion:
 
     def freedrive_status(self) -> int:
         """How well the arm can be moved by hand where it is: 0 well, 1 near a singularity, 2 too near."""
-        margin = float(singularity_margin(self._q).min())
+        margin = float(singularity_margin(self._target.q).min())
         return (margin < NEAR_SINGULARITY) + (margin < TOO_NEAR_SINGULARITY)
 
     def reachable(self, pose: Sequence[float]) -> bool:
         """Whether the configured TCP can be brought to a pose."""
         try:
-            self._plant.inverse(pose, self._q)
+            self._plant.inverse(pose, self._target.q)
         except KinematicsError:
             return False
         return True
@@ -360,7 +336,7 @@ class Motion:
         return build(None)
 
     def _stop(self, a: float) -> SpeedJ:
-        return SpeedJ(self._q, self._qd, [0.0] * 6, a)
+        return SpeedJ(self._target.q, self._target.qd, [0.0] * 6, a)
 
     def _blend_share(self, start: Sequence[float], target: Sequence[float], radius: float) -> float:
         """Share of a joint path at which the TCP comes within `radius` of its end."""
@@ -375,83 +351,44 @@ class Motion:
             low, high = (low, middle) if near else (middle, high)
         return high
 
+    def _step(self, mover: Mover | None) -> None:
+        target = self._target
+        if self._freedrive and self._force is None:
+            target.set_joints(self._plant.q.tolist(), [0.0] * 6)
+        elif isinstance(mover, ToolMover) and target.retooled:
+            self.hold()  # the script has configured another TCP, so a motion of the old one ends
+        elif self._displaced:
+            self._displace(mover)
+        elif isinstance(mover, JointMover):
+            target.set_joints(*mover.step(self.speed_fraction))
+        elif isinstance(mover, ToolMover):
+            target.set_tool(*mover.step(self.speed_fraction))
+
     def _displace(self, mover: Mover | None) -> None:
         """One tick by speeds: of the program and, in force mode, of what the force makes of them."""
+        target = self._target
         if isinstance(mover, JointMover):
-            q, qd = mover.step(self.speed_fraction)
-            twist = tool_twist(q, self._at(q)[0], qd)
+            twist = target.twist_of(*mover.step(self.speed_fraction))
         elif isinstance(mover, ToolMover):
             twist = mover.step(self.speed_fraction)[2]
         else:
             twist = [0.0] * 6
-        position, rotation = self._tool()
+        position, rotation = target.tool()
         if self._force is not None:
-            measured = self._plant.wrench.tolist()
-            twist = self._force.step(twist, position, measured, self.force_damping, self.force_gain)
             x, y, z, *turn = self._plant.tcp_pose()
             off = rotvec_of(multiply(rotation_of(turn[0], turn[1], turn[2]), transpose(rotation)))
             if self._force.exceeded((x - position[0], y - position[1], z - position[2], *off)):
-                self._fail("the tool deviates too far from its path in force mode")
-                return
-        self._twist = twist
+                raise CannotMove("the tool deviates too far from its path in force mode")
+            settings = self.force_damping, self.force_gain, self.speed_fraction
+            twist = self._force.step(twist, position, self._plant.wrench.tolist(), *settings)
         vx, vy, vz, wx, wy, wz = twist
-        self._follow(
+        target.set_tool(
             (position[0] + TICK_S * vx, position[1] + TICK_S * vy, position[2] + TICK_S * vz),
             multiply(rotation_of(TICK_S * wx, TICK_S * wy, TICK_S * wz), rotation),
+            twist,
         )
-
-    def _follow(self, position: Vector, rotation: Rotation) -> None:
-        """Take the joints to where the TCP is there, by one Newton step from where they are."""
-        (x, y, z), here = self._at(self._q)
-        turn = rotvec_of(multiply(rotation, transpose(here)))
-        step = (position[0] - x, position[1] - y, position[2] - z, *turn)
-        rates = joint_rates(self._q, (x, y, z), [d / TICK_S for d in step])
-        if rates is None:
-            self._fail("the arm is too close to a singularity for a motion of the tool")
-            return
-        for i in range(6):
-            if abs(rates[i]) > _SPEED[i]:
-                self._fail(f"joint {i + 1} would have to turn faster than it can")
-                return
-        self._reference = position, rotation
-        self._publish([a + TICK_S * v for a, v in zip(self._q, rates, strict=True)], rates)
-
-    def _publish(self, q: list[float], qd: list[float]) -> None:
-        for i in range(6):
-            if abs(q[i]) > _RANGE[i] and abs(q[i]) > abs(self._q[i]):
-                self._fail(f"joint {i + 1} is at the end of its range")
-                return
-        last = self._qd
-        self._q, self._qd = q, qd
-        self.q_target, self.qd_target = np.array(q), np.array(qd)
-        self.qdd_target = np.array([(b - a) / TICK_S for a, b in zip(last, qd, strict=True)])
 
     def _fail(self, why: str) -> None:
         self.fault = why
-        self._mover = self._queued = self._force = self._twist = None
-        self._publish(self._q, [0.0] * 6)
-
-    def _retool(self) -> None:
-        """The script has configured another TCP: motions of the old one end."""
-        if isinstance(self._mover, ToolMover):
-            self.hold()
-        self._forget_tool()
-
-    def _forget_tool(self) -> None:
-        self._offset = self._plant.tcp_offset
-        self._tool_rotation = rotation_of(*self._offset[3:])
-        self._reference = self._twist = None
-
-    def _tool(self) -> tuple[Vector, Rotation]:
-        """TCP of the target: what the tool motion has reached, or where the joints are."""
-        if self._offset is not self._plant.tcp_offset:
-            self._forget_tool()
-        if self._reference is None:
-            self._reference = self._at(self._q)
-        return self._reference
-
-    def _at(self, q: Sequence[float]) -> tuple[Vector, Rotation]:
-        """TCP at joint angles (6,)."""
-        (x, y, z), rotation = flange_of(q)
-        dx, dy, dz = rotate(rotation, self._offset[:3])
-        return (x + dx, y + dy, z + dz), multiply(rotation, self._tool_rotation)
+        self._mover = self._queued = self._force = None
+        self._target.rest()

@@ -65,6 +65,9 @@ class Timer:
 class Course:
     """Progress along a path; a slower speed slider stretches time, so the path stays the same.
 
+    Where a script asks for a blend, the next move begins as this one brakes: the one's ramp down and the other's ramp
+    up add to a speed that is never above either's.
+
     Args:
         profile: distance over time.
         blend_from: distance at which the script may go on, to blend into the next move.
@@ -74,7 +77,7 @@ class Course:
 
     def __init__(self, profile: Trapezoid, blend_from: float) -> None:
         self._profile = profile
-        self._blend_from = blend_from
+        self._blend_from = max(blend_from, profile.braking_from)
         self._time_s = 0.0
         self.arrived = False
         self.blending = False

@@ -20,25 +20,28 @@ class Trapezoid:
     Attributes:
         length: as given.
         duration_s: of the whole move.
+        braking_from: distance at which the last ramp begins.
     """
 
-    __slots__ = ("_acceleration", "_ramp_s", "_speed", "duration_s", "length")
+    __slots__ = ("_acceleration", "_ramp_s", "_speed", "braking_from", "duration_s", "length")
 
     def __init__(self, length: float, speed: float, acceleration: float, duration_s: float = 0.0) -> None:
         self.length = length
         if length < _NOWHERE:
             self.duration_s = self._ramp_s = self._speed = self._acceleration = 0.0
+            self.braking_from = length
             return
         if duration_s > 0.0:
             self.duration_s = duration_s
             self._ramp_s = _RAMP_SHARE * duration_s
             self._speed = length / (duration_s - self._ramp_s)
             self._acceleration = self._speed / self._ramp_s
-            return
-        self._acceleration = acceleration
-        self._speed = min(speed, math.sqrt(length * acceleration))
-        self._ramp_s = self._speed / acceleration
-        self.duration_s = self._ramp_s + length / self._speed
+        else:
+            self._acceleration = acceleration
+            self._speed = min(speed, math.sqrt(length * acceleration))
+            self._ramp_s = self._speed / acceleration
+            self.duration_s = self._ramp_s + length / self._speed
+        self.braking_from = length - 0.5 * self._speed * self._ramp_s
 
     def at(self, time_s: float) -> tuple[float, float]:
         """Distance travelled and speed, `time_s` after the start."""
