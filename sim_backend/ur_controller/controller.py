@@ -4,6 +4,7 @@ It runs on one thread and never waits: whoever owns it calls `tick`, and everyth
 sees of it is made by the services of `server`.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -18,15 +19,13 @@ from sim_backend.ur_controller.events import (
     Event,
     Listener,
     Popup,
-    ProgramStarted,
-    ProgramStopped,
     Refused,
-    RuntimeFailed,
     SafetyChanged,
     Text,
 )
 from sim_backend.ur_controller.geometry import cross
 from sim_backend.ur_controller.inputs import Inputs, Registers
+from sim_backend.ur_controller.interpreter import Interpreter
 from sim_backend.ur_controller.motion import Motion
 from sim_backend.ur_controller.outputs import TEMPERATURE_C, Outputs
 from sim_backend.ur_controller.plant import Plant
@@ -38,16 +37,14 @@ from sim_backend.ur_controller.safety import (
     Safety,
     SafetyMode,
 )
-from sim_backend.ur_controller.script import Builtin, CompileError, Execution, State, compile_source
+from sim_backend.ur_controller.script import Builtin, CompileError, Execution, compile_source
 from sim_backend.ur_controller.terminals import Terminals
 
 START_TICK = 30_000
 """Ticks that the controller says to have run when it is made: clients wait for a timestamp of 40 s."""
-MOST_SECONDARIES = 16
-"""Secondary programs at a time; more are refused."""
 
 _TICKS_PER_S = round(1.0 / TICK_S)
-_RUNS = (RuntimeState.PLAYING, RuntimeState.RESUMING)
+_MOVING_MODES = (SafetyMode.NORMAL, SafetyMode.REDUCED, SafetyMode.SAFEGUARD_STOP)  # in the last to come to rest
 
 
 class Controller:
@@ -70,9 +67,7 @@ class Controller:
         terminals: digital and analog inputs and outputs.
         sockets: those that programs have opened.
         time_s: of the last tick, exactly on the grid of 2 ms.
-        runtime_state: of the main program.
-        execution: the program that runs now, during a builtin the one that called it; None without one.
-        program_name: of the main program, or of the last one.
+        interpreter: of the programs that run.
         programs: text of the programs that can be loaded, by file name.
         loaded_program: file name of the one that `play` runs, or None.
         remote_control: the robot is in remote control, not in local.
@@ -103,9 +98,7 @@ class Controller:
         self.output_registers = Registers()
         self.sockets = Sockets()
         self.time_s = START_TICK / _TICKS_PER_S
-        self.runtime_state = RuntimeState.STOPPED
-        self.execution: Execution | None = None
-        self.program_name = ""
+        self.interpreter = Interpreter(self.motion, self.emit, self._program_ended)
         self.programs: dict[str, str] = {}
         self.loaded_program: str | None = None
         self.remote_control = self.remote_control_enabled = True
@@ -113,12 +106,9 @@ class Controller:
         self.gravity = (0.0, 0.0, 9.82)
         self.events: list[Listener] = []
         self._tick = START_TICK
-        self._program: Execution | None = None
-        self._secondaries: list[Execution] = []
-        self._stepping = False
-        self._waiting = False
         self.popup: Popup | None = None
         self._paused_by_safeguard = False
+        self._enabled = True
         self._external_lever: Sequence[float] | None = None
         self._last_target = self.motion.q_target
         self._table = standard_table(self) if table is None else table
@@ -130,17 +120,15 @@ class Controller:
         self.inputs.apply_due(self._tick)
         if self._external_lever is not None:
             self._feed_external_sensor()
-        if self._secondaries:
-            self._run_secondaries()
-        if self._program is not None:
-            self._run_program()
+        self.interpreter.step()
         if self.inputs.watchdogs:
             self._watch()
         self.safety.tick()
-        self.motion.advance(self._speed_fraction())
+        self._move()
         self._protect()
         self.plant.drive(self.motion.q_target, self.motion.qd_target)
-        self._settle()
+        self._last_target = self.motion.q_target
+        self.interpreter.settle(self.speed_slider)
         self._tick += 1
         self.time_s = self._tick / _TICKS_PER_S
 
@@ -153,6 +141,20 @@ class Controller:
     @property
     def safety_mode(self) -> SafetyMode:
         return self.safety.safety_mode
+
+    @property
+    def runtime_state(self) -> RuntimeState:
+        return self.interpreter.state
+
+    @property
+    def execution(self) -> Execution | None:
+        """The program that runs now: while a builtin is called, the one that calls it."""
+        return self.interpreter.execution
+
+    @property
+    def program_name(self) -> str:
+        """Of the main program, or of the last one."""
+        return self.interpreter.name
 
     @property
     def safety_status_bits(self) -> int:
@@ -209,10 +211,7 @@ class Controller:
 
     def close(self) -> None:
         """End the programs and close what they have opened."""
-        self.stop_program()
-        for secondary in self._secondaries:
-            secondary.kill()
-        self._secondaries.clear()
+        self.interpreter.close()
         self.sockets.close_all()
 
     # --- power and safety ---
@@ -259,15 +258,15 @@ class Controller:
     def open_safeguard(self) -> None:
         """Open the safeguard: the program pauses."""
         self.safety.open_safeguard()
-        if self.runtime_state in _RUNS:
+        if self.interpreter.runs:
             self._paused_by_safeguard = True
-            self.runtime_state = RuntimeState.PAUSING
+            self.interpreter.pause()
 
     def close_safeguard(self) -> None:
         """Close the safeguard: a program that it has paused goes on."""
         self.safety.close_safeguard()
         if self._paused_by_safeguard and self.safety.may_move:
-            self.runtime_state = RuntimeState.RESUMING
+            self.interpreter.resume()
         self._paused_by_safeguard = False
 
     def protective_stop(self, reason: str) -> None:
@@ -300,23 +299,15 @@ class Controller:
         except CompileError as error:
             self.emit(CompileFailed(error.line, error.column, error.text))
             return
-        execution = Execution(compiled)
         if compiled.kind == "secondary":
-            if len(self._secondaries) >= MOST_SECONDARIES:
-                raise Refused(f"{MOST_SECONDARIES} secondary programs run already; wait for one to end")
-            self._secondaries.append(execution)
+            self.interpreter.start_secondary(compiled)
             return
         if not self.safety.may_move:
             raise Refused(
                 f"a program cannot start while the robot is {self.robot_mode.name} and safety is"
                 f" {self.safety_mode.name}; it has to be RUNNING and NORMAL"
             )
-        self.stop_program()
-        self._program = self.execution = execution
-        self._waiting = True
-        self.program_name = compiled.name
-        self.runtime_state = RuntimeState.PLAYING
-        self.emit(ProgramStarted(compiled.name))
+        self.interpreter.start(compiled)
 
     def load(self, name: str) -> None:
         """Choose the program that `play` runs.
@@ -326,7 +317,7 @@ class Controller:
         """
         if name not in self.programs:
             raise Refused(f"File not found: {name}")
-        if self._program is not None:
+        if self.interpreter.is_busy:
             raise Refused(f"Error while loading program: {name}")
         self.loaded_program = name
 
@@ -338,9 +329,9 @@ class Controller:
         """
         if not self.safety.may_move:
             raise Refused("Failed to execute: play")
-        if self.runtime_state in (RuntimeState.PAUSING, RuntimeState.PAUSED):
-            self.runtime_state = RuntimeState.RESUMING
-        elif self._program is None and self.loaded_program is not None:
+        if self.interpreter.is_paused:
+            self.interpreter.resume()
+        elif not self.interpreter.is_busy and self.loaded_program is not None:
             self.run_script(self.programs[self.loaded_program])
         else:
             raise Refused("Failed to execute: play")
@@ -351,25 +342,13 @@ class Controller:
         Raises:
             Refused: no program runs.
         """
-        if self.runtime_state not in _RUNS:
+        if not self.interpreter.runs:
             raise Refused("Failed to execute: pause")
-        self.runtime_state = RuntimeState.PAUSING
+        self.interpreter.pause()
 
     def stop_program(self) -> None:
         """End the program; the arm decelerates. Nothing without a program."""
-        if self._program is None:
-            return
-        self._program.kill()
-        if self._stepping:
-            return  # a builtin has asked for it: what follows is done when it has returned
-        self._program = self.execution = None
-        self.inputs.watchdogs.clear()
-        self.sockets.close_all()
-        self._paused_by_safeguard = False
-        self.motion.hold()
-        self.motion.owner = None
-        self.runtime_state = RuntimeState.STOPPING
-        self.emit(ProgramStopped(self.program_name))
+        self.interpreter.stop()
 
     def show(self, popup: Popup) -> None:
         """Show a program's message on the screen."""
@@ -380,38 +359,6 @@ class Controller:
         """Close the message on the screen; a program that waits for it goes on."""
         self.popup = None
 
-    def _run_program(self) -> None:
-        program = self._program
-        if program is None or self.runtime_state not in _RUNS:
-            return
-        if self._waiting:
-            if self.motion.moving:
-                return  # the program before decelerates
-            self._waiting = False
-        self._stepping = True
-        try:
-            program.step()
-        finally:
-            self._stepping = False
-        if program.state is State.RUNNING:
-            return
-        if program.error is not None:
-            error = program.error
-            self.emit(RuntimeFailed(error.line, error.column, error.thread, error.text))
-        self.stop_program()
-
-    def _run_secondaries(self) -> None:
-        for secondary in self._secondaries.copy():
-            self.execution = secondary
-            secondary.step()
-            if secondary.state is State.RUNNING:
-                continue
-            self._secondaries.remove(secondary)
-            if secondary.error is not None:
-                error = secondary.error
-                self.emit(RuntimeFailed(error.line, error.column, error.thread, error.text))
-        self.execution = self._program
-
     def _watch(self) -> None:
         starved = self.inputs.starved()
         if starved is None:
@@ -420,15 +367,21 @@ class Controller:
         self.emit(Text(f"RTDE watchdog: no package with {variable} in time, action {action}"))
         if action == "stop":
             self.stop_program()
-        elif self.runtime_state in _RUNS:
-            self.runtime_state = RuntimeState.PAUSING
+        else:
+            self.interpreter.pause()
 
     # --- the arm ---
 
-    def _speed_fraction(self) -> float:
-        if self.runtime_state in (RuntimeState.PAUSING, RuntimeState.PAUSED):
-            return 0.0
-        return self.speed_slider
+    def _move(self) -> None:
+        """Make the next joint target; what was on its way before a stop does not go on after it."""
+        if self.safety.robot_mode is RobotMode.RUNNING and self.safety.safety_mode in _MOVING_MODES:
+            if not self._enabled:
+                self.motion.freeze()
+                self._enabled = True
+            halted = self.interpreter.is_paused or not self.safety.may_move
+            self.motion.advance(0.0 if halted else self.speed_slider)
+        else:
+            self._enabled = False
 
     def _protect(self) -> None:
         """The arm's own protection, and what a motion that cannot go on leads to."""
@@ -437,6 +390,8 @@ class Controller:
             return
         if motion.fault is not None:
             self.protective_stop(motion.fault)
+        elif not math.isfinite(sum(motion.q_target.tolist())):
+            self.violate("the joint target is not a number")
         elif plant.true_force > PROTECTIVE_FORCE_N:
             self.protective_stop(f"the tool carries more than {PROTECTIVE_FORCE_N:.0f} N")
         else:
@@ -450,19 +405,6 @@ class Controller:
         turned = cross(self._external_lever or (0.0, 0.0, 0.0), force)
         self.plant.external_wrench = (*force, *(a + b for a, b in zip(moment, turned, strict=True)))
 
-    def _settle(self) -> None:
-        """End what was on its way to a state of rest."""
-        self._last_target = self.motion.q_target
-        state = self.runtime_state
-        if state is RuntimeState.STOPPING:
-            if not self.motion.moving:
-                self.runtime_state = RuntimeState.STOPPED
-        elif state is RuntimeState.PAUSING:
-            if self.motion.speed_fraction == 0.0:
-                self.runtime_state = RuntimeState.PAUSED
-        elif state is RuntimeState.RESUMING and self.motion.speed_fraction == self.speed_slider:
-            self.runtime_state = RuntimeState.PLAYING
-
     def _halt(self) -> None:
         """Stop at once; the program ends, after its present step where it has asked for it itself."""
         self.motion.freeze()
@@ -473,6 +415,13 @@ class Controller:
         self.motion.freeze()
         self.inputs.forget_latency()
         self._last_target = self.motion.q_target
+
+    def _program_ended(self) -> None:
+        self.inputs.watchdogs.clear()
+        self.sockets.close_all()
+        self._paused_by_safeguard = False
+        if self.popup is not None and self.popup.blocking:
+            self.popup = None
 
     def _safety_changed(self, mode: SafetyMode, reason: str) -> None:
         self.emit(SafetyChanged(mode, reason))

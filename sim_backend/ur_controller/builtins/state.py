@@ -70,7 +70,7 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
         return Struct(sec=whole, nanosec=round((controller.time_s - whole) * 1e9))
 
     def set_tcp(pose_: Value) -> None:
-        plant.set_tcp(pose(pose_, "pose"))
+        plant.set_tcp(_finite(pose(pose_, "pose"), "pose"))
 
     def get_tcp_offset() -> Pose:
         return Pose(plant.tcp_offset)
@@ -82,12 +82,12 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
         plant.set_payload(_mass(m), plant.payload_cog)
 
     def set_payload_cog(CoG: Value) -> None:  # noqa: N803 (the manual's name)
-        plant.set_payload(plant.payload_kg, vector(CoG, 3, "CoG"))
+        plant.set_payload(plant.payload_kg, _vector(CoG, plant.payload_cog, "CoG"))
 
     def set_target_payload(
         m: Value, cog: Value, inertia: Value = _KEPT, transition_time: Value = 0.0
     ) -> Generator[None, None, None]:
-        mass, centre = _mass(m), vector(cog, 3, "cog")
+        mass, centre = _mass(m), _vector(cog, plant.payload_cog, "cog")
         matrix = _vector(inertia, (0.0,) * 6, "inertia")
         ticks = round(number(transition_time, "transition_time") / TICK_S)
         first_mass, first_centre = plant.payload_kg, plant.payload_cog
@@ -197,4 +197,10 @@ def _mass(value: Value) -> float:
 
 
 def _vector(value: Value, kept: Sequence[float], what: str) -> Sequence[float]:
-    return vector(value, len(kept), what) if value else kept
+    return _finite(vector(value, len(kept), what), what) if value else kept
+
+
+def _finite(values: Sequence[float], what: str) -> Sequence[float]:
+    if all(map(math.isfinite, values)):
+        return values
+    raise ScriptRuntimeError(f"{what} must be finite, not {list(values)}")

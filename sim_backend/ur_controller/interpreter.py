@@ -1,0 +1,150 @@
+"""The programs of a controller: the one that may move the arm, and secondary ones beside it."""
+
+from collections.abc import Callable
+
+from sim_backend.ur_controller.events import Event, ProgramStarted, ProgramStopped, Refused, RuntimeFailed
+from sim_backend.ur_controller.motion import Motion
+from sim_backend.ur_controller.safety import RuntimeState
+from sim_backend.ur_controller.script import Compiled, Execution, State
+
+MOST_SECONDARIES = 16
+"""Secondary programs at a time; more are refused."""
+
+_RUNS = (RuntimeState.PLAYING, RuntimeState.RESUMING)
+_RESTS = (RuntimeState.PAUSING, RuntimeState.PAUSED)
+
+
+class Interpreter:
+    """Runs programs, one step of each per tick.
+
+    Args:
+        motion: where the arm is told to be; it decelerates when the program ends.
+        emit: hears of programs that start, end and fail.
+        ended: called when the main program has ended, before `emit`.
+
+    Attributes:
+        state: of the main program.
+        execution: what runs now: the main program, or the one whose builtin has been called; None without one.
+        name: of the main program, or of the last one.
+    """
+
+    def __init__(self, motion: Motion, emit: Callable[[Event], None], ended: Callable[[], None]) -> None:
+        self.state = RuntimeState.STOPPED
+        self.execution: Execution | None = None
+        self.name = ""
+        self._motion = motion
+        self._emit = emit
+        self._ended = ended
+        self._main: Execution | None = None
+        self._secondaries: list[Execution] = []
+        self._waiting = False
+        self._stepping = False
+
+    @property
+    def runs(self) -> bool:
+        """Whether a main program is there and not paused."""
+        return self.state in _RUNS
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether a main program is paused, or about to be."""
+        return self.state in _RESTS
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a main program is there."""
+        return self._main is not None
+
+    def start(self, compiled: Compiled) -> None:
+        """Run a program in place of the main one, as soon as the arm has come to rest."""
+        self.stop()
+        self._main = self.execution = Execution(compiled)
+        self._waiting = True
+        self.name = compiled.name
+        self.state = RuntimeState.PLAYING
+        self._emit(ProgramStarted(compiled.name))
+
+    def start_secondary(self, compiled: Compiled) -> None:
+        """Run a secondary program beside the main one.
+
+        Raises:
+            Refused: there are too many.
+        """
+        if len(self._secondaries) >= MOST_SECONDARIES:
+            raise Refused(f"{MOST_SECONDARIES} secondary programs run already; wait for one to end")
+        self._secondaries.append(Execution(compiled))
+
+    def pause(self) -> None:
+        """Let the main program and its motion come to rest."""
+        if self.runs:
+            self.state = RuntimeState.PAUSING
+
+    def resume(self) -> None:
+        """Go on with a paused program."""
+        if self.is_paused:
+            self.state = RuntimeState.RESUMING
+
+    def stop(self) -> None:
+        """End the main program; the arm decelerates. One that asks for it itself ends when its builtin has returned."""
+        if self._main is None:
+            return
+        self._main.kill()
+        if self._stepping:
+            return
+        self._main = self.execution = None
+        self._motion.hold()
+        self._motion.owner = None
+        self.state = RuntimeState.STOPPING
+        self._ended()
+        self._emit(ProgramStopped(self.name))
+
+    def close(self) -> None:
+        """End all programs."""
+        self.stop()
+        for secondary in self._secondaries:
+            secondary.kill()
+        self._secondaries.clear()
+
+    def step(self) -> None:
+        """Run the programs' share of one tick."""
+        if self._secondaries:
+            self._step_secondaries()
+        main = self._main
+        if main is None or self.state not in _RUNS:
+            return
+        if self._waiting and self._motion.moving:
+            return  # the program before decelerates
+        self._waiting = False
+        self._stepping = True
+        try:
+            main.step()
+        finally:
+            self._stepping = False
+        if main.state is not State.RUNNING:
+            self._report(main)
+            self.stop()
+
+    def settle(self, slider: float) -> None:
+        """Take note of what the motion has reached in this tick; `slider` is the speed that it is to go at."""
+        if self.state is RuntimeState.STOPPING:
+            if not self._motion.moving:
+                self.state = RuntimeState.STOPPED
+        elif self.state is RuntimeState.PAUSING:
+            if self._motion.speed_fraction == 0.0:
+                self.state = RuntimeState.PAUSED
+        elif self.state is RuntimeState.RESUMING and self._motion.speed_fraction == slider:
+            self.state = RuntimeState.PLAYING
+
+    def _step_secondaries(self) -> None:
+        for secondary in self._secondaries.copy():
+            self.execution = secondary
+            secondary.step()
+            if secondary.state is not State.RUNNING:
+                self._secondaries.remove(secondary)
+                self._report(secondary)
+        self.execution = self._main
+
+    def _report(self, execution: Execution) -> None:
+        error = execution.error
+        if error is not None:
+            self._emit(RuntimeFailed(error.line, error.column, error.thread, error.text))
