@@ -1,6 +1,7 @@
 """RTDE of the emulated controller over real sockets: bytes in, bytes out, one tick at a time."""
 
 import math
+import random
 import struct
 from collections.abc import Iterator
 from itertools import pairwise
@@ -275,6 +276,34 @@ def test_inputs_arrive_and_stay_without_a_start(bench: Bench) -> None:
     values = [struct.unpack(">id", payload[1:]) for _, payload in reader.settle()]
     assert values[-1] == (2**31 - 1, 0.25)
     assert (-7, 0.25) in values
+
+
+def test_no_bits_in_the_inputs_stop_the_controller(bench: Bench) -> None:
+    writer, reader = bench.peer(), bench.peer()
+    registers = [name for name in INPUTS if "register" in name and (name[-2:].isdigit() and int(name[-2:]) >= 24)]
+    others = [name for name in INPUTS if "register" not in name]
+    recipes = [registers[at : at + 40] for at in range(0, len(registers), 40)] + [others]
+    for names in recipes:
+        assert writer.inputs(",".join(names))[0] > 0
+    reader.begin("timestamp," + ",".join(registers[:60]))
+    draw = random.Random(5)
+    for _ in range(100):
+        for recipe_id, names in enumerate(recipes, start=1):
+            size = struct.calcsize(">" + "".join(f"{INPUTS[name].count}{INPUTS[name].letter}" for name in names))
+            writer.send("U", bytes([recipe_id]) + draw.randbytes(size))
+        bench.tick()
+        kind, payload = reader.receive()
+        assert (kind, struct.unpack_from(">d", payload, 1)[0]) == ("U", bench.controller.time_s)
+    assert any(payload[9:])
+
+
+def test_a_program_cannot_put_a_number_into_a_register_that_no_package_could_carry(bench: Bench) -> None:
+    peer = bench.peer()
+    peer.begin("output_int_register_24,output_double_register_24")
+    for number in ("2147483648", "-2147483649", "1e300"):
+        bench.controller.run_script(f"def p():\n  write_output_integer_register(24, {number})\n  sync()\nend\n")
+        bench.tick(20)
+        assert len(peer.settle()) >= 20
 
 
 def test_data_of_a_recipe_never_agreed_are_ignored_and_said_after_the_start_only(bench: Bench) -> None:
