@@ -26,6 +26,7 @@ BUILD_DATE = "12-03-2025, 10:00:00"
 PROTECTIVE_STOP = 160
 """Error code by which a protective stop is reported; which one a robot gives depends on the cause."""
 
+_SILENT_TICKS = 2  # of a new connection: in between, what it had sent before it was accepted is read
 _STATE_TICKS = round(1.0 / (STATE_HZ * TICK_S))
 _EMERGENCIES = (SafetyMode.SYSTEM_EMERGENCY_STOP, SafetyMode.ROBOT_EMERGENCY_STOP)
 
@@ -70,6 +71,7 @@ class PrimaryService:
         self._kind: Kind = kind
         self._readers: dict[Connection, ProgramReader] = {}
         self._writable: dict[Connection, bool] = {}
+        self._silent: dict[Connection, int] = {}
         self._ticks = 0
         self._unlock_asked = False
         self._commands: dict[str, Callable[[], None]] = {
@@ -91,14 +93,11 @@ class PrimaryService:
             controller.events.append(self._on_event)
 
     def on_connect(self, connection: Connection) -> None:
-        """Introduce the controller and send its state."""
+        """Hear it out first: a client may be gone after its program, and sending to it would lose what it has sent."""
         connection.patient = True  # a client that uploads scripts only may never read
         self._readers[connection] = ProgramReader()
         self._writable[connection] = self._is_remote
-        if self._kind != "realtime":
-            version = messages.Version("URControl", *self._controller.versions, BUILD_DATE)
-            connection.send(self._framed(version))
-            connection.send(self._package())
+        self._silent[connection] = _SILENT_TICKS
 
     def on_data(self, connection: Connection, data: bytes) -> None:
         """Run every program that is complete."""
@@ -113,17 +112,31 @@ class PrimaryService:
         for program in self._readers[connection].finish():
             self._run(connection, program)
         del self._readers[connection], self._writable[connection]
+        self._silent.pop(connection, None)
 
     def publish(self) -> None:
         """Send what is due to those who have read what they got before."""
         if self._unlock_asked:
             self._unlock()
+        for connection, ticks in list(self._silent.items()):
+            if ticks > 1:
+                self._silent[connection] = ticks - 1
+            else:
+                self._greet(connection)
         self._ticks += 1
         if self._ticks % self._period == 0:
             self._send_to_all(self._package)
 
+    def _greet(self, connection: Connection) -> None:
+        """Introduce the controller and send its state."""
+        del self._silent[connection]
+        if self._kind != "realtime":
+            version = messages.Version("URControl", *self._controller.versions, BUILD_DATE)
+            connection.send(self._framed(version))
+            connection.send(self._package())
+
     def _send_to_all(self, package: Callable[[], bytes]) -> None:
-        reading = [connection for connection in self._readers if not connection.pending]
+        reading = [one for one in self._readers if one not in self._silent and not one.pending]
         if reading:
             data = package()
             for connection in reading:
@@ -151,7 +164,7 @@ class PrimaryService:
 
     def _complain(self, connection: Connection, error: ErrorCode) -> None:
         if self._kind == "primary":  # the other ports have no messages
-            connection.send(self._framed(error))
+            self._tell(connection, self._framed(error))
 
     def _ask_unlock(self) -> None:
         """Unlock, or keep the wish until the stop is old enough: the port has no way to say that it came too early."""
@@ -175,7 +188,12 @@ class PrimaryService:
         for source, message in _messages(event):
             data = self._framed(message, source)
             for connection in self._readers:
-                connection.send(data)
+                self._tell(connection, data)
+
+    def _tell(self, connection: Connection, message: bytes) -> None:
+        if connection in self._silent:
+            self._greet(connection)
+        connection.send(message)
 
     def _framed(self, message: Message, source: int = Source.ROBOT_INTERFACE) -> bytes:
         return frame(PackageType.ROBOT_MESSAGE, messages.encode_message(message, self._time_us, source))
