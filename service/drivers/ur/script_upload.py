@@ -67,14 +67,14 @@ class UploadError(Exception):
         self.column = column
 
 
-async def upload(host: str, port: int, text: str, *, start_timeout_s: float = START_TIMEOUT_S) -> None:
+async def upload(host: str, port: int, text: str, *, timeout_s: float = START_TIMEOUT_S) -> None:
     """Run a program on a controller, in place of the one that runs there.
 
     Args:
         host: address of the controller.
         port: its primary port.
         text: one `def name(): … end`; comments and blank lines may stand before it.
-        start_timeout_s: from connecting until the program runs.
+        timeout_s: from connecting until the program runs.
 
     Raises:
         UploadError: the program does not run.
@@ -85,10 +85,10 @@ async def upload(host: str, port: int, text: str, *, start_timeout_s: float = ST
     if definition is None:
         raise ValueError("a program to upload begins with `def name():`")
     try:
-        async with asyncio.timeout(start_timeout_s):
+        async with asyncio.timeout(timeout_s):
             await _run(host, port, program, definition[1], skipped)
     except TimeoutError as error:
-        what = f"{host}:{port} did not report within {start_timeout_s:g} s that `{definition[1]}` runs"
+        what = f"{host}:{port} did not report within {timeout_s:g} s that `{definition[1]}` runs"
         raise UploadError(Reason.TIMEOUT, f"{what}; is the robot in remote control?") from error
 
 

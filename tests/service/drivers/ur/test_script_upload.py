@@ -150,6 +150,6 @@ async def test_silence_ends_in_a_timeout() -> None:
 
     async with await asyncio.start_server(speak, HOST, 0) as server:
         with pytest.raises(UploadError, match=r"did not report within 0\.1 s that `wait` runs") as raised:
-            await upload(HOST, server.sockets[0].getsockname()[1], WAIT, start_timeout_s=0.1)
+            await upload(HOST, server.sockets[0].getsockname()[1], WAIT, timeout_s=0.1)
 
     assert raised.value.reason is Reason.TIMEOUT
