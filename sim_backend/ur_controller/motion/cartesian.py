@@ -92,8 +92,8 @@ class Line(PathMover):
         self._turn = rotvec_of(multiply(rotation, transpose(self._rotation)))
         distance = math.hypot(*self._way)
         length = max(distance, TURN_RADIUS_M * math.hypot(*self._turn))
-        near = blend_m / distance if distance > 0.0 else 1.0
-        super().__init__(Trapezoid(length, *limits), length * max(0.0, 1.0 - near), end, tail)
+        far = 1.0 - blend_m / distance if blend_m < distance else 0.0
+        super().__init__(Trapezoid(length, *limits), length * far if blend_m > 0.0 else length, end, tail)
 
     def at(self, share: float) -> tuple[Vector, Rotation, Vector, Vector]:
         (x, y, z), (dx, dy, dz), (rx, ry, rz) = self._start, self._way, self._turn
@@ -138,7 +138,7 @@ class Arc(PathMover):
         a, b = _dot(first, first), _dot(second, second)
         blended = (b * first[0] - a * second[0], b * first[1] - a * second[1], b * first[2] - a * second[2])
         side = cross(normal, blended)
-        towards = (-side[0] / (2 * squared), -side[1] / (2 * squared), -side[2] / (2 * squared))
+        towards = (side[0] / (2 * squared), side[1] / (2 * squared), side[2] / (2 * squared))
         self._centre = (self._start[0] + towards[0], self._start[1] + towards[1], self._start[2] + towards[2])
         self._arm = _minus(self._start, self._centre)
         size = math.sqrt(squared)

@@ -26,6 +26,7 @@ Array = npt.NDArray[np.float64]
 _JOINTS = range(6)
 _RANGE: tuple[float, ...] = tuple(JOINT_RANGE_RAD.tolist())
 _SPEED: tuple[float, ...] = tuple(JOINT_SPEED_RAD_S.tolist())
+_ROUNDING_RAD_S = 1e-9
 _REST = np.zeros(6)
 _REST.setflags(write=False)
 
@@ -63,8 +64,8 @@ class JointTarget:
 
     @property
     def moving(self) -> bool:
-        """Whether any joint is to move."""
-        return any(self.qd)
+        """Whether any joint is to move, by more than a tool motion at rest does from rounding."""
+        return any(abs(v) > _ROUNDING_RAD_S for v in self.qd)
 
     @property
     def retooled(self) -> bool:
@@ -102,7 +103,7 @@ class JointTarget:
 
     def rest(self) -> None:
         """The joints stay where they are."""
-        if self.moving:
+        if any(self.qd):
             self._twist = None
             self._set(self.q, [0.0] * 6)
         else:
