@@ -86,6 +86,12 @@ class UrDriver:
     def clock(self) -> Callable[[], float]:
         return (lambda: self._link.arrival_s) if self.mode == "lockstep" else self._host_clock
 
+    @property
+    def received_s(self) -> float | None:
+        """The robot's time stamp of the newest package, None without one: who advances a controller waits for it."""
+        package = self._link.package
+        return None if package is None else package.time_s
+
     async def connect(self, sink: SampleSink) -> None:
         """Reach the controller, pass the gate as far as the arm's state lets it, and let samples flow.
 
@@ -117,28 +123,14 @@ class UrDriver:
         Raises:
             DriverError: AUTHORITY, the arm is not ours to move; PROTOCOL, a seed for a real arm.
         """
-        laid_out = None
-        if self._stage is not None:
-            laid_out = await self._stage.lay_out(setup)
-        elif setup.seed is not None:
+        if self._stage is None and setup.seed is not None:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name} is real and has no seed: leave it out")
         facts = await gate.measure_arm(self._link, self._ur)
         if failed := gate.failures(gate.judge_arm(facts)):
             raise DriverError(FaultCode.AUTHORITY, "; ".join(check.text for check in failed))
         await self._link.run_program()
-        if laid_out is None:
-            return
-        self._episode = 0
-        camera = self._camera
-
-        def is_shown(package: Package) -> bool:
-            seen = camera is None or camera.episode == laid_out.episode
-            return package.time_s > laid_out.time_s and seen
-
-        if not await self._link.until(is_shown, FRESH_S):
-            text = f"{self.name}: no samples, or no camera frames, of the world that was laid out"
-            raise DriverError(FaultCode.STALE, text)
-        self._episode = laid_out.episode
+        if self._stage is not None:
+            await self._lay_out(self._stage, setup)
 
     def engage(self, law: ComplianceLaw, limits: Limits) -> None:
         self._link.outbox.put(
@@ -181,6 +173,21 @@ class UrDriver:
         for helper in (self._camera, self._stage):
             if helper is not None:
                 await helper.close()
+
+    async def _lay_out(self, stage: Stage, setup: Setup) -> None:
+        """Last of all that precedes a run, so that nothing but the run comes between it and the seed's world."""
+        self._episode = 0  # the old world's samples end
+        laid_out = await stage.lay_out(setup)
+        camera = self._camera
+
+        def is_shown(package: Package) -> bool:
+            seen = camera is None or camera.episode == laid_out.episode
+            return package.time_s > laid_out.time_s and seen
+
+        if not await self._link.until(is_shown, FRESH_S):
+            text = f"{self.name}: no samples, or no camera frames, of the world that was laid out"
+            raise DriverError(FaultCode.STALE, text)
+        self._episode = laid_out.episode
 
     # --- what arrives
 

@@ -51,7 +51,7 @@ class UrLink:
     Args:
         ur: where it is.
         program: the control program that shall run.
-        mode: in lockstep, time is the controller's own.
+        mode: in lockstep, time is the controller's own, since its first package.
         clock: monotonic seconds of the host.
         on_package: receives each package and its arrival, once `open` is done.
         on_lost: receives why the connection ended.
@@ -92,6 +92,7 @@ class UrLink:
         )
         self._arrivals = ArrivalClock()
         self._arrived = asyncio.Event()
+        self._begun_s: float | None = None
         self._last_written_tick = 0
         self._mute = False
 
@@ -215,7 +216,11 @@ class UrLink:
 
     def _take(self, values: tuple[Decoded, ...], read_s: float) -> None:
         package = self.package = Package.of(values)
-        self.arrival_s = package.time_s if self._lockstep else self._arrivals.arrival(package.time_s, read_s)
+        if self._lockstep:
+            self._begun_s = package.time_s if self._begun_s is None else self._begun_s
+            self.arrival_s = package.time_s - self._begun_s
+        else:
+            self.arrival_s = self._arrivals.arrival(package.time_s, read_s)
         if self.watch.observe(package):
             self.outbox.observe(package.handled)
         self._on_package(package, self.arrival_s)
