@@ -67,6 +67,10 @@ class World:
         self._tcp_rotation = batch.bind("site_xmat").reshape(n, -1, 3, 3)[:, site]
         self._orientation = batch.bind("xquat")[:, self._scene.gripper_body]
         self._peg_position = batch.bind("xpos")[:, self._scene.peg_body]
+        base = model.body("base").id
+        self._moving = slice(base, self._scene.peg_body + 1)
+        self._centre = batch.bind("subtree_com")[:, base]
+        self._body_centre, self._body_twist = batch.bind("xipos"), batch.bind("cvel")
         self._wall_position = batch.expand("geom_pos")
         self._friction = batch.expand("geom_friction")
         self._body_position = batch.expand("body_pos")
@@ -273,14 +277,21 @@ class World:
         """(n,) resultant of the true contact force on the gripper and the peg, N, gravity and inertia included."""
         return np.sqrt((self._load[:, :3] ** 2).sum(axis=1))
 
-    @property
-    def momentum(self) -> Array:
-        """(n, 3) linear momentum of the arm and what it carries, base frame, kg·m/s."""
-        moving = slice(self._scene.model.body("base").id, self._scene.peg_body + 1)
-        velocity = self._batch.bind("cvel")[:, moving]  # about the centre of mass of the whole, rotation first
-        arm = self._batch.bind("xipos")[:, moving] - self._batch.bind("subtree_com")[:, moving.start, None]
-        linear = velocity[..., 3:] + np.cross(velocity[..., :3], arm)
-        return (self._mass[:, moving, None] * linear).sum(1)
+    def momentum(self, cell: int = 0) -> tuple[float, float, float]:
+        """Linear momentum of one cell's arm and what it carries, base frame, kg·m/s."""
+        moving = self._moving
+        x0, y0, z0 = self._centre[cell].tolist()
+        px = py = pz = 0.0
+        for mass, (x, y, z), (wx, wy, wz, vx, vy, vz) in zip(  # velocities at the centre of mass of the whole
+            self._mass[cell, moving].tolist(),
+            self._body_centre[cell, moving].tolist(),
+            self._body_twist[cell, moving].tolist(),
+            strict=True,
+        ):
+            px += mass * (vx + wy * (z - z0) - wz * (y - y0))
+            py += mass * (vy + wz * (x - x0) - wx * (z - z0))
+            pz += mass * (vz + wx * (y - y0) - wy * (x - x0))
+        return px, py, pz
 
     def _measure(self) -> None:
         self.joints = self._qpos[:, :6].copy()

@@ -64,15 +64,18 @@ class Outputs:
 
     def _of_motion(self) -> dict[str, Getter]:
         motion = self._motion
+        currents = self._once("currents", self._currents)
         return {
             "target_q": lambda: motion.q_target.tolist(),
             "target_qd": lambda: motion.qd_target.tolist(),
             "target_qdd": lambda: motion.qdd_target.tolist(),
-            "target_TCP_pose": self._once("pose", motion.target_tcp_pose),
+            "target_TCP_pose": self._once("target pose", motion.target_tcp_pose),
             "target_TCP_speed": motion.target_tcp_speed,
             "target_TCP_acceleration": self._target_acceleration,
             "target_moment": self._torques,
-            "target_current": self._currents,
+            "target_current": currents,
+            "actual_current": currents,
+            "joint_control_output": currents,
             "speed_scaling": lambda: motion.speed_fraction,
             "joint_position_deviation_ratio": self._deviation,
         }
@@ -83,19 +86,17 @@ class Outputs:
         return {
             "actual_q": lambda: plant.q.tolist(),
             "actual_qd": lambda: plant.qd.tolist(),
-            "actual_current": self._currents,
             "actual_current_window": lambda: [joint.torque_nm * CURRENT_A_PER_NM for joint in UR3E],
             "actual_current_as_torque": self._torques,
-            "joint_control_output": self._currents,
             "actual_TCP_pose": plant.tcp_pose,
-            "actual_TCP_speed": self._once("speed", plant.tcp_speed),
+            "actual_TCP_speed": plant.tcp_speed,
             "actual_TCP_acceleration": plant.tcp_acceleration,
             "actual_TCP_force": force,
             "tcp_force_scalar": lambda: math.hypot(*force()[:3]),
             "ft_raw_wrench": lambda: plant.ft_raw.tolist(),
             "wrench_calc_from_currents": self._wrench_from_currents,
-            "actual_tool_accelerometer": plant.tool_acceleration,
-            "actual_momentum": plant.momentum,
+            "actual_tool_accelerometer": self._once("accelerometer", plant.tool_acceleration),
+            "actual_momentum": self._once("momentum", plant.momentum),
             "collision_detection_ratio": lambda: plant.true_force / PROTECTIVE_FORCE_N,
             "elbow_position": lambda: plant.elbow()[0],
             "elbow_velocity": lambda: plant.elbow()[1],

@@ -92,7 +92,7 @@ class Plant:
         if self._phase == 0:
             self._servo.refresh(_ONLY, q_target[None])
         self._phase = (self._phase + 1) % KINEMATICS_TICKS
-        self._before = self.q, self.qd
+        self._before, self._twist_before = (self.q, self.qd), self._twist
         set_points = self._servo.set_points(q_target, qd_target)
         self.set_points = set_points[0]
         self.world.drive(set_points)
@@ -130,7 +130,7 @@ class Plant:
         self.tcp_offset = tuple(map(float, offset))
         self._tool_rotation = rotation_of(*self.tcp_offset[3:])
         self._configure()
-        self._pose = None
+        self._pose = self._twist = self._twist_before = None
 
     def set_payload(self, kg: float, cog: Sequence[float], inertia: Sequence[float] | None = None) -> None:
         """Configure the payload: mass kg, centre (3,) m in the flange's frame, inertia (6,) kg·m² or as it is."""
@@ -157,13 +157,17 @@ class Plant:
 
     def tcp_speed(self) -> list[float]:
         """Measured twist of the configured TCP, base axes, m/s and rad/s."""
-        return (jacobian_of(self.q.tolist(), self.tcp_pose()[:3]) @ self.qd).tolist()
+        if self._twist is None:
+            speed: list[float] = (jacobian_of(self.q.tolist(), self.tcp_pose()[:3]) @ self.qd).tolist()
+            self._twist = speed
+        return self._twist.copy()
 
     def tcp_acceleration(self) -> list[float]:
         """Change of `tcp_speed` over the last tick, m/s² and rad/s²."""
-        q, qd = self._before
-        before = self.jacobian_of(q.tolist()) @ qd
-        return ((np.array(self.tcp_speed()) - before) / TICK_S).tolist()
+        if self._twist_before is None:
+            q, qd = self._before
+            self._twist_before = (self.jacobian_of(q.tolist()) @ qd).tolist()
+        return [(now - before) / TICK_S for now, before in zip(self.tcp_speed(), self._twist_before, strict=True)]
 
     def tool_acceleration(self) -> list[float]:
         """What an accelerometer at the TCP reads (3,), flange axes, m/s²: at rest the reaction to gravity."""
@@ -180,7 +184,7 @@ class Plant:
     def joint_torques(self) -> Array:
         """(6,) torque of the joint servos, N·m, without the weight of the links."""
         torque = self._stiffness * (self.set_points - self.q) - self._damping * self.qd
-        return np.clip(torque, -kinematics.JOINT_TORQUE_NM, kinematics.JOINT_TORQUE_NM)
+        return np.minimum(np.maximum(torque, -kinematics.JOINT_TORQUE_NM), kinematics.JOINT_TORQUE_NM)
 
     def payload_torques(self) -> Array:
         """(6,) of `joint_torques` what carries the configured payload at rest, N·m."""
@@ -204,7 +208,7 @@ class Plant:
 
     def momentum(self) -> float:
         """Norm of the arm's linear momentum, tool included, kg·m/s."""
-        return float(np.linalg.norm(self.world.momentum[0]))
+        return math.hypot(*self.world.momentum())
 
     def flange_pose_of(self, q: Sequence[float]) -> list[float]:
         """Pose of the flange at joint angles (6,)."""
@@ -270,7 +274,7 @@ class Plant:
         self.input_delay = int(self.world.target_delay[0])
         self.set_points = self.world.joints[0]
         self._measure()
-        self._before = self.q, self.qd
+        self._before, self._twist_before = (self.q, self.qd), self._twist
 
     def _measure(self) -> None:
         world = self.world
@@ -279,6 +283,7 @@ class Plant:
         self.saturated = bool(world.sensor.saturated[0])
         self._flange: tuple[Vector, Rotation] | None = None
         self._pose: list[float] | None = None
+        self._twist: list[float] | None = None
         if self.external_wrench is not None:
             rotation, force = self.flange()[1], self.external_wrench[:3]
             turned = cross(self.tcp_offset[:3], force)
