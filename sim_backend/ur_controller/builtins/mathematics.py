@@ -158,7 +158,7 @@ def inv(m: Value) -> Value:
     rows = _matrix_of(m)
     if len(rows) != len(rows[0]):
         raise ScriptRuntimeError(f"Only a square matrix has an inverse, not {len(rows)} × {len(rows[0])}")
-    BUDGET.left -= len(rows) ** 2
+    BUDGET.left -= 200 + len(rows) ** 2
     try:
         inverse: list[list[float]] = np.linalg.inv(np.array(rows)).tolist()
     except np.linalg.LinAlgError:

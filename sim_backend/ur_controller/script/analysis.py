@@ -101,6 +101,8 @@ class Analysis:
             if len(routine.own) != len(routine.parameters):
                 raise CompileError(*node.place, f"Two parameters of {node.name} have one name")
             routine.waits = node.keyword != "def"
+            if routine.waits and node.parameters:
+                raise CompileError(*node.place, f"{node.name} is a {node.keyword}: it cannot have parameters")
             for parameter in node.parameters:
                 if parameter.default is not None:
                     self._expression(routine, parameter.default, 1)
@@ -114,6 +116,7 @@ class Analysis:
         """Settle what is global, and which functions are generators, once everything has been declared."""
         self.globals |= main.assigned | main.own - set(main.parameters)
         main.own.clear()
+        main.waits = True
         routines = list(self.routines.values())
         callers: dict[int, list[Routine]] = {r.number: [] for r in routines}
         open_calls = {r.number: 0 for r in routines}

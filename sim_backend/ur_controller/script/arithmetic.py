@@ -30,6 +30,7 @@ from .values import (
     kind_of,
     number,
     truth,
+    vector,
 )
 
 MOST_PRODUCTS: Final = 32_768
@@ -156,20 +157,20 @@ def _elementwise(sign: str, apply: Callable[[Value, Value], Value], a: Value, b:
 
 
 def _product(matrix: list[list[Value]], other: list[Value]) -> list[Value]:
-    width = len(matrix[0])
-    if width != len(other) or any(len(row) != width for row in matrix):
-        raise ScriptRuntimeError(f"A matrix of {width} columns cannot be multiplied with {len(other)} rows")
-    columns = list(zip(*other, strict=True)) if is_matrix(other) else [tuple(other)]
-    products = len(matrix) * width * len(columns)
+    rows = [vector(row, len(matrix[0]), "A row of the matrix") for row in matrix]
+    width = len(other)
+    if len(rows[0]) != width:
+        raise ScriptRuntimeError(f"A matrix of {len(rows[0])} columns cannot be multiplied with {width} rows")
+    if is_matrix(other):
+        columns = list(zip(*(vector(row, len(other[0]), "A row of the matrix") for row in other), strict=True))
+    else:
+        columns = [tuple(vector(other, width, "The list"))]
+    products = len(rows) * width * len(columns)
     if products > MOST_PRODUCTS:
         raise ScriptRuntimeError(f"A product of {products} multiplications is too large: the most is {MOST_PRODUCTS}")
-    BUDGET.left -= products
-    rows = [
-        [math.fsum(number(x, "An element") * number(y, "An element") for x, y in zip(row, column, strict=True))
-         for column in columns]
-        for row in matrix
-    ]  # fmt: skip
-    return rows if is_matrix(other) else [row[0] for row in rows]
+    BUDGET.left -= 2 * products
+    product = [[sum(map(operator.mul, row, column)) for column in columns] for row in rows]
+    return product if is_matrix(other) else [row[0] for row in product]
 
 
 def make_list(*items: Value) -> list[Value]:
@@ -270,6 +271,14 @@ def replaced(base: Value, value: Value, *path: Value) -> Value:
     return items
 
 
+def _with(base: list[Value], position: int, value: Value) -> list[Value]:
+    items = base.copy()
+    items.insert(position, value)
+    if len(items) > LARGEST_LIST or isinstance(value, list | dict):
+        _measure(items, 1)
+    return items
+
+
 def _position(base: list[Value], index: Value) -> int:
     position = index if type(index) is int else integer(index, "An index")
     if 0 <= position < len(base):
@@ -291,13 +300,13 @@ def method(base: Value, name: str, *arguments: Value) -> tuple[Value, Value]:
         case "clear", ():
             return [], None
         case "append", (value,):
-            return checked_list([*base, value]), None
+            return _with(base, len(base), value), None
         case "pop", () if base:
             return base[:-1], base[-1]
         case "insert", (position, value) if integer(position, "A position") <= len(base):
             position = integer(position, "A position")
             if position >= 0:
-                return checked_list([*base[:position], value, *base[position:]]), None
+                return _with(base, position, value), None
         case _:
             pass
     raise ScriptRuntimeError(f"A list of {len(base)} elements has no {name} with {len(arguments)} such arguments")

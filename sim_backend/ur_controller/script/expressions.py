@@ -38,6 +38,7 @@ _OPERATORS: Final = {
     ">": "greater",
     ">=": "greater_or_equal",
 }
+BUILTIN_COST: Final = 30
 _BOOLEAN: Final = frozenset({"==", "!=", "<", "<=", ">", ">=", "and", "or", "xor", "not"})
 
 
@@ -171,6 +172,7 @@ class ExpressionCompiler:
         arguments = self._bind(node, [(p.name, p.default is REQUIRED) for p in builtin.parameters])
         while arguments and arguments[-1] is None:
             arguments.pop()
+        self.cost += BUILTIN_COST
         self.names["b_" + node.name] = builtin.call
         given = [
             load(place, self._keep(builtin.parameters[index].default)) if argument is None else argument
@@ -181,7 +183,7 @@ class ExpressionCompiler:
 
     def _call_routine(self, node: Call, routine: Routine) -> ast.expr:
         place = node.place
-        if node.thread != (routine.keyword == "thread"):
+        if node.thread != (routine.keyword != "def"):
             wrong = "run starts a thread, and {} is a function" if node.thread else "{} is a thread: start it with run"
             raise CompileError(*place, wrong.format(node.name))
         bound = self._bind(node, [(name, name not in routine.optional) for name in routine.parameters])

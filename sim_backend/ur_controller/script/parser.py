@@ -41,6 +41,7 @@ from .values import LARGEST_INT
 
 LONGEST_SOURCE = 262_144
 """Characters; six times the longest script that a client in use sends."""
+LONGEST_QUOTE = 200
 
 
 @lru_cache(maxsize=4)
@@ -59,11 +60,9 @@ def parse(text: str) -> Block:
 
 
 def _syntax_error(error: UnexpectedInput, text: str) -> CompileError:
-    lines = text.split("\n")
-    at_end = error.line < 1  # lark's place of an unexpected end
-    line = len(lines) if at_end else error.line
-    column = len(lines[-1]) + 1 if at_end else error.column
-    return CompileError(line, column, f"syntax_error_on_line:{line}:{lines[line - 1].strip()[:200]}:")
+    # The end of the text, where it comes too early, has the place of the last word before it.
+    source = text.split("\n")[error.line - 1].strip()[:LONGEST_QUOTE]
+    return CompileError(error.line, error.column, f"syntax_error_on_line:{error.line}:{source}:")
 
 
 @lru_cache(maxsize=1)
@@ -71,7 +70,7 @@ def _parser() -> Lark:
     return Lark(
         Path(__file__).with_name("grammar.lark").read_text(encoding="utf-8"),
         parser="lalr",
-        lexer="contextual",
+        lexer="basic",  # every keyword is reserved, wherever it stands
         maybe_placeholders=False,
         transformer=_TreeBuilder(),
     )

@@ -1,8 +1,8 @@
 """A compiled script at work, one tick at a time.
 
 From UR's script manual, "Threads" and "Thread scheduling": every thread that can run is scheduled once in each frame
-of 2 ms, until it uses time or its slice is spent; `run` gives a handle, `kill` and `join` take one, and the end of
-the main program ends its threads.
+of 2 ms, until it uses time or its slice is spent; `join` waits for the end of a thread, `kill` ends one and those that
+it has run. The end of the main program is the end of all.
 
 Not in the manual: a critical section keeps other threads from running between two of its statements only; a thread
 that waits inside of one lets them run, also in their own sections. UR's client needs it so: its trajectory thread
@@ -42,12 +42,13 @@ class ScriptThread:
 
     Attributes:
         handle, name: As the script knows it.
+        parent: The thread that has run it.
     """
 
-    __slots__ = ("_code", "critical", "depth", "handle", "name")
+    __slots__ = ("_code", "critical", "depth", "handle", "name", "parent")
 
-    def __init__(self, handle: int, name: str, code: Code) -> None:
-        self.handle, self.name = handle, name
+    def __init__(self, handle: int, name: str, code: Code, parent: "ScriptThread | None" = None) -> None:
+        self.handle, self.name, self.parent = handle, name, parent
         self._code: Code | None = code
         self.critical = False
         self.depth = 0
@@ -63,7 +64,7 @@ class ScriptThread:
 
     def close(self) -> None:
         """End it where it waits."""
-        code, self._code = self._code, None
+        code, self._code, self.parent = self._code, None, None
         if code is not None:
             code.close()
 
@@ -167,7 +168,7 @@ class Execution:
         if sum(thread.alive for thread in self._threads) >= MOST_THREADS:
             raise ScriptRuntimeError(f"A program can have {MOST_THREADS} threads")
         self._handles += 1
-        self._threads.append(ScriptThread(self._handles, name, code))
+        self._threads.append(ScriptThread(self._handles, name, code, self.current_thread))
         return self._handles
 
     def _find(self, handle: Value) -> ScriptThread | None:
@@ -179,10 +180,16 @@ class Execution:
 
     def _kill(self, handle: Value) -> None:
         thread = self._find(handle)
-        if thread is not None and thread is self.current_thread:
+        if thread is None:
+            return
+        doomed = {thread}
+        for other in self._threads:  # a child stands behind its parent
+            if other.parent in doomed:
+                doomed.add(other)
+        for other in doomed - {self.current_thread}:
+            other.close()
+        if self.current_thread in doomed:
             raise _Killed
-        if thread is not None:
-            thread.close()
 
     def _halt(self) -> None:
         raise Halt
