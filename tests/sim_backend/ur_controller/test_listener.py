@@ -142,6 +142,23 @@ def test_a_service_that_closes_hears_of_it_after_its_own_method(loop: Listener) 
         assert peer.recv(64) == b""
 
 
+def test_nothing_is_heard_from_a_connection_that_the_service_has_closed(loop: Listener) -> None:
+    class First(Upper):
+        def on_data(self, connection: Connection, data: bytes) -> None:
+            self.heard.append(data)
+            for other in self.connections:
+                other.close()
+
+    service = First()
+    port = loop.serve(service, HOST, 0)
+    with connect(port) as one, connect(port) as two:
+        until(loop, lambda: len(service.connections) == 2)
+        one.sendall(b"one")
+        two.sendall(b"two")
+        until(loop, lambda: len(service.closed) == 2)
+    assert service.heard in ([b"one"], [b"two"])
+
+
 def test_what_was_sent_before_a_close_arrives(loop: Listener) -> None:
     service = Upper()
     port = loop.serve(service, HOST, 0)
@@ -176,6 +193,7 @@ def test_what_a_slow_peer_does_not_take_at_once_comes_later_and_whole(loop: List
 
 
 def test_a_peer_that_takes_nothing_for_ten_seconds_is_disconnected(loop: Listener, clock: Clock) -> None:
+    clock.now_s = 1000.0
     service = Upper()
     port = loop.serve(service, HOST, 0)
     with connect(port, receive_buffer=4096) as peer:

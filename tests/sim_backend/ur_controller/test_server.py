@@ -63,6 +63,15 @@ def test_every_port_is_open_until_the_server_closes(controller: Controller) -> N
             peer.connect((HOST, port))
 
 
+def test_closing_ends_the_program(controller: Controller) -> None:
+    server = ControllerServer(controller, HOST, ANY_PORTS)
+    controller.run_script("def p():\n  while True:\n    sync()\n  end\nend\n")
+    server.step()
+    assert controller.runtime_state.name == "PLAYING"
+    server.close()
+    assert controller.runtime_state.name != "PLAYING"
+
+
 def test_one_taken_port_is_named_and_none_is_kept(controller: Controller) -> None:
     with socket.socket() as other, socket.socket() as probe:
         for taken in (other, probe):

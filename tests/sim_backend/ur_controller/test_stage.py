@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ class Cell:
 
     def __init__(self, session: zenoh.Session) -> None:
         self.session = session
+        self.laid_out = 0
         self.controller = Controller(Plant(World(1, "tr")))
         self.server = ControllerServer(self.controller, HOST, ANY_PORTS)
         self.stage = Stage(self.controller, self.server, session, "bench", ["no SCHED_FIFO"])
@@ -33,7 +34,7 @@ class Cell:
     def step(self, ticks: int) -> None:
         for _ in range(ticks):
             self.server.step()
-            self.stage.step()
+            self.laid_out += self.stage.step()
 
     def ask(self, query: str, payload: bytes = b"") -> bytes:
         """Ask one query and step until the answer is there; an error reply raises its text."""
@@ -79,6 +80,7 @@ def test_a_reset_lays_out_an_episode_and_gives_its_first_camera_frame(cell: Cell
     assert (truth["task"]["seed"], truth["task"]["clearance_m"]) == (7, 0.00033)
     estimated, true = frame["position"], np.array(truth["hole_position"])
     assert 0 < np.linalg.norm(estimated - true) < 0.02
+    assert cell.laid_out == 1, "only a reset takes longer than a tick"
     assert cell.reset(seed=8)["episode"] == 2
 
 
@@ -114,20 +116,43 @@ def test_a_query_that_cannot_be_read_is_refused_and_changes_nothing(
     assert cell.controller.remote_control
 
 
+def take_frames(cell: Cell) -> Callable[[int, int], Any]:
+    """Subscribe; what is returned waits for `count` frames of an episode since, and steps the cell while it waits."""
+    subscriber = cell.session.declare_subscriber(keys.CAMERA.format(world="bench"), zenoh.handlers.FifoChannel(256))
+
+    def taken(episode: int, count: int) -> Any:
+        frames: list[Any] = []
+        end_s = time.monotonic() + PATIENCE_S
+        while len(frames) < count and time.monotonic() < end_s:
+            sample = subscriber.try_recv()
+            if sample is None:
+                cell.step(1)
+                continue
+            frames += [
+                frame for frame in wire.decode(sample.payload.to_bytes(), wire.CAMERA) if frame["episode"] == episode
+            ]
+        return np.array(frames)
+
+    return taken
+
+
+def test_the_frame_after_a_resets_own_comes_40_ms_later(cell: Cell) -> None:
+    taken = take_frames(cell)
+    cell.reset(seed=1)
+    cell.step(7)
+    first = cell.reset(seed=2)
+    (second,) = taken(2, 1)
+    assert second["time_s"] - first["time_s"] == pytest.approx(0.040, abs=1e-9)
+
+
 def test_the_camera_gives_a_frame_every_40_ms_on_the_clock_of_the_arm(cell: Cell) -> None:
-    frames: list[bytes] = []
-    subscriber = cell.session.declare_subscriber(keys.CAMERA.format(world="bench"), zenoh.handlers.FifoChannel(64))
+    taken = take_frames(cell)
     first_s = cell.controller.time_s
     positions: dict[float, list[float]] = {}
-    end_s = time.monotonic() + PATIENCE_S
     for _ in range(100):
         cell.step(1)
         positions[cell.controller.time_s] = cell.controller.plant.estimate.tolist()
-    while len(frames) < 5 and time.monotonic() < end_s:
-        sample = subscriber.try_recv()
-        if sample is not None:
-            frames.append(sample.payload.to_bytes())
-    records = wire.decode(b"".join(frames), wire.CAMERA)
+    records = taken(0, 5)
     np.testing.assert_allclose(records["time_s"], first_s + 0.002 + np.arange(5) * 0.040, atol=1e-9)
     np.testing.assert_array_equal(np.diff(records["seq"].astype(int)), [20] * 4)
     for record in records:
