@@ -11,7 +11,7 @@ from rich.console import Console
 from benchmarks import machine, report
 from benchmarks.result import Result, UnavailableError
 
-BENCHMARKS = ("tick", "stop_latency", "round_trip", "lockstep", "lateness", "throughput", "training_share")
+BENCHMARKS = ("tick", "stop_latency", "round_trip", "lockstep", "lateness", "throughput", "training_share", "rtde")
 FOLDER = Path(__file__).parent / "results"
 
 
