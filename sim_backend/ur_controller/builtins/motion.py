@@ -56,16 +56,18 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
 
     def joints_of(target: Value, what: str) -> list[float]:
         """Joint angles of a target that is a list of them, or a pose."""
+        numbers = _finite(target, what)
         if type(target) is not Pose:
-            return vector(target, 6, what)
+            return numbers
         try:
-            return plant.inverse(target, motion.q_target).tolist()
+            return plant.inverse(numbers, motion.q_target).tolist()
         except KinematicsError as error:
             raise ScriptRuntimeError(NO_SOLUTION) from error
 
     def pose_of(target: Value, what: str) -> list[float]:
         """Pose of a target that is one, or a list of joint angles."""
-        return list(target) if type(target) is Pose else plant.tcp_pose_of(vector(target, 6, what))
+        numbers = _finite(target, what)
+        return numbers if type(target) is Pose else plant.tcp_pose_of(numbers)
 
     def movej(q: Value, a: Value = 1.4, v: Value = 1.05, t: Value = 0, r: Value = 0) -> Wait:
         target = joints_of(q, "q")
@@ -108,7 +110,7 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
     def servoj(
         q: Value, a: Value = 0, v: Value = 0, t: Value = TICK_S, lookahead_time: Value = 0.1, gain: Value = 300
     ) -> Wait:
-        target = vector(q, 6, "q")
+        target = _finite(q, "q")
         time_s = _not_negative(t, "t")
         lookahead_s = _between(lookahead_time, 0.03, 0.2, "lookahead_time")
         stiffness = _between(gain, 100.0, 2000.0, "gain")
@@ -120,12 +122,12 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
         return (yield from moving(lambda: motion.servoc(target, *limits)))
 
     def speedj(qd: Value, a: Value, t: Value = 0) -> Wait:
-        speeds = vector(qd, 6, "qd")
+        speeds = _finite(qd, "qd")
         limits = _positive(a, "a"), _not_negative(t, "t")
         return (yield from moving(lambda: motion.speedj(speeds, *limits)))
 
     def speedl(xd: Value, a: Value, t: Value = 0, aRot: Value = "a") -> Wait:  # noqa: N803 - the manual's name
-        twist = vector(xd, 6, "xd")
+        twist = _finite(xd, "xd")
         acceleration, time_s = _positive(a, "a"), _not_negative(t, "t")
         turning = acceleration if aRot == "a" else _positive(aRot, "aRot")
         return (yield from moving(lambda: motion.speedl(twist, acceleration, time_s, turning)))
@@ -152,13 +154,13 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
         kind = integer(type_, "type")
         if kind not in (1, 2, 3):
             raise ScriptRuntimeError(f"force_mode: type must be 1, 2 or 3, not {kind}")
-        largest = vector(limits, 6, "limits")
+        largest = _finite(limits, "limits")
         if min(largest) < 0.0:
             raise ScriptRuntimeError("force_mode: limits must not be negative")
         motion.force(
-            vector(task_frame, 6, "task_frame"),
+            _finite(task_frame, "task_frame"),
             [item == 1.0 for item in selection],
-            vector(wrench, 6, "wrench"),
+            _finite(wrench, "wrench"),
             kind,
             largest,
         )
@@ -174,7 +176,7 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
         motion.freedrive(axes, _feature(motion, feature))
 
     def tool_contact(direction: Value) -> int:
-        return motion.memory.touched(np.array(vector(direction, 6, "direction")[:3]))
+        return motion.memory.touched(np.array(_finite(direction, "direction")[:3]))
 
     def get_actual_joint_positions_history(steps: Value = 0) -> list[float]:
         past = motion.memory.joints(integer(steps, "steps"))
@@ -223,7 +225,16 @@ def _feature(motion: Motion, feature: Value) -> list[float]:
         return [0.0] * 6
     if feature == "tool":
         return motion.target_tcp_pose()
-    return pose(feature, "feature")
+    pose(feature, "feature")
+    return _finite(feature, "feature")
+
+
+def _finite(value: Value, what: str) -> list[float]:
+    """`value` as a list of 6 floats that the arm can do something with."""
+    result = vector(value, 6, what)
+    if not math.isfinite(sum(result)):
+        raise ScriptRuntimeError(f"{what} must hold finite numbers only, not {result}")
+    return result
 
 
 def _list(value: Value, what: str) -> list[Value]:

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -13,6 +12,8 @@ from sim_backend.protocol.task import Task
 from sim_backend.ur_controller.motion import Motion
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.world import World
+
+from ..contacts import pressing
 
 Array = npt.NDArray[np.float64]
 
@@ -61,17 +62,8 @@ class Arm:
         return np.array(self.plant.tcp_speed())
 
     def pressing(self) -> float:
-        """Sum of the true forces that contacts push the peg up with, N."""
-        model, data = self.plant.world.model(), self.plant.world.data()
-        mujoco.mj_forward(model, data)
-        total, wrench = 0.0, np.zeros(6)
-        for index in range(data.ncon):
-            mujoco.mj_contactForce(model, data, index, wrench)
-            contact = data.contact[index]
-            upwards = contact.frame.reshape(3, 3).T @ wrench[:3]
-            sign = 1.0 if model.geom(contact.geom2).name == "peg" else -1.0
-            total += sign * upwards[2]
-        return total
+        """With how many N the contacts push the peg up."""
+        return pressing(self.plant)
 
     def offset(self, *change: float) -> list[float]:
         """The present target pose, moved by `change`, m, base axes."""
