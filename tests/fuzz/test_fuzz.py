@@ -33,7 +33,7 @@ def run(program: Path, folder: Path, seconds: int) -> subprocess.CompletedProces
 
 
 @pytest.mark.timeout(SECONDS + 90)
-@pytest.mark.parametrize("target", ["rtde", "primary"])
+@pytest.mark.parametrize("target", ["rtde", "rtde_service", "primary"])
 def test_no_input_crashes_hangs_or_fills_the_memory(target: str, tmp_path: Path) -> None:
     result = run(HERE / f"{target}.py", tmp_path, SECONDS)
     assert result.returncode == 0, result.stderr[-3000:]
@@ -41,7 +41,7 @@ def test_no_input_crashes_hangs_or_fills_the_memory(target: str, tmp_path: Path)
     assert done is not None, result.stderr[-3000:]
     covered = [int(number) for number in re.findall(r"cov: (\d+)", result.stderr)]
     assert covered[-1] > covered[0]  # it was guided
-    assert int(done[1]) > 1000
+    assert int(done[1]) > 100
 
 
 @pytest.mark.parametrize(

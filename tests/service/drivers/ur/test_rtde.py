@@ -1,5 +1,6 @@
 import asyncio
 import random
+import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from typing import Any
@@ -232,6 +233,50 @@ async def test_nobody_there_is_unreachable_and_says_where(listener: Listener) ->
     assert caught.value.reason is Reason.UNREACHABLE
     with pytest.raises(LinkError, match="connect first"):
         await listener.client(gone.host, gone.port).start()
+
+
+async def test_a_controller_that_does_not_take_the_connection_ends_it_in_time(listener: Listener) -> None:
+    with (
+        socket.create_server(("127.0.0.23", 0), backlog=0) as full,
+        socket.create_connection(full.getsockname()),
+        pytest.raises(LinkError, match=r"no connection in 0\.05 s") as caught,
+    ):
+        await listener.client(*full.getsockname(), timeout_s=0.05).connect()
+    assert caught.value.reason is Reason.TIMEOUT
+
+
+async def test_a_name_with_several_addresses_is_tried_at_each(listener: Listener) -> None:
+    async with RtdeResponder("127.0.0.1") as local:
+        client = await flowing(listener.client("localhost", local.port), local)
+        assert client.ready
+        await client.close()
+
+
+async def test_a_loss_in_the_middle_of_the_set_up_is_told_at_once(robot: RtdeResponder, listener: Listener) -> None:
+    robot.mute = {PackageType.SETUP_INPUTS}
+    client = listener.client(robot.host, robot.port, timeout_s=60.0)
+    await client.connect()
+    setting_up = asyncio.create_task(client.setup(OUTPUT_NAMES, 500.0, INPUT_NAMES))
+    await until(lambda: client.outputs)
+    robot.hang_up()
+    with pytest.raises(LinkError) as caught:
+        await setting_up
+    assert caught.value.reason is Reason.CLOSED
+    assert listener.lost == []
+
+
+async def test_a_set_up_that_is_cancelled_hangs_up(robot: RtdeResponder, listener: Listener) -> None:
+    robot.mute = {PackageType.SETUP_OUTPUTS}
+    client = listener.client(robot.host, robot.port, timeout_s=60.0)
+    await client.connect()
+    setting_up = asyncio.create_task(client.setup(OUTPUT_NAMES, 500.0))
+    await asyncio.sleep(0.01)
+    setting_up.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await setting_up
+    await until(lambda: not robot.clients)
+    with pytest.raises(LinkError, match="connect first"):
+        await client.start()
 
 
 async def test_what_the_controller_says_is_passed_on_and_explains_a_silence(
