@@ -60,7 +60,7 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
         if type(target) is not Pose:
             return numbers
         try:
-            return plant.inverse(numbers, motion.q_target).tolist()
+            return motion.joints_at(numbers)
         except KinematicsError as error:
             raise ScriptRuntimeError(NO_SOLUTION) from error
 

@@ -11,23 +11,26 @@ from collections.abc import Sequence
 from sim_backend.kinematics import UR3E
 
 SINGULAR = 0.01
-"""Margin, as `kinematics.singularity_margin`, below which no joint speeds are given."""
+"""Margin, as `kinematics.singularity_margin`, below which a motion of the tool is not followed any more."""
 
 _D1, _D4, _D5 = UR3E[0].d_m, UR3E[3].d_m, UR3E[4].d_m
 _A2, _A3 = UR3E[1].a_m, UR3E[2].a_m
 _REACH = abs(_A2) + abs(_A3) + _D5
 
 
-def joint_rates(q: Sequence[float], point: Sequence[float], twist: Sequence[float]) -> list[float] | None:
+def joint_rates(
+    q: Sequence[float], point: Sequence[float], twist: Sequence[float], margin: float = SINGULAR
+) -> list[float] | None:
     """Joint speeds that give a point fixed to the flange a twist.
 
     Args:
         q: six joint angles, rad.
         point: (3,) its position now, base frame, m.
         twist: (6,) linear velocity of the point and angular velocity, base frame.
+        margin: smallest distance from a singularity, 0 … 1.
 
     Returns:
-        Six joint speeds, rad/s; None when the arm is singular.
+        Six joint speeds, rad/s; None when the arm is nearer to a singularity.
     """
     q1, q2, q3, q4, q5, _ = q
     vx, vy, vz, wx, wy, wz = twist
@@ -38,7 +41,7 @@ def joint_rates(q: Sequence[float], point: Sequence[float], twist: Sequence[floa
     s234, c234 = math.sin(q23 + q4), math.cos(q23 + q4)
     s3, s5, c5 = math.sin(q3), math.sin(q5), math.cos(q5)
     reach = _A2 * c2 + _A3 * c23 + _D5 * s234
-    if abs(reach) < SINGULAR * _REACH or abs(s3) < SINGULAR or abs(s5) < SINGULAR:
+    if abs(reach) < margin * _REACH or abs(s3) < margin or abs(s5) < margin:
         return None
     # velocity of the wrist's centre: along the arm's plane (c1, s1), across it (s1, -c1), and up
     from_x = c1 * reach + s1 * _D4 - point[0]

@@ -8,12 +8,13 @@ import numpy.typing as npt
 
 from sim_backend.kinematics import KinematicsError, singularity_margin
 from sim_backend.protocol.wire import TICK_S
-from sim_backend.ur_controller.geometry import multiply, rotation_of, rotvec_of, transpose
+from sim_backend.ur_controller.geometry import compose, invert, multiply, rotation_of, rotvec_of, transpose
 from sim_backend.ur_controller.plant import Plant
 
 from .cartesian import Arc, Line, PathMover, ServoC, SpeedL, standing
 from .contact import ContactMemory
 from .force import DEFAULT_DAMPING, DEFAULT_GAIN, ForceMode
+from .inverse import inverse
 from .joint import MoveJ, ServoJ, SpeedJ, leading_speed
 from .mover import JointMover, Mover, ToolMover
 from .profile import Trapezoid
@@ -309,10 +310,19 @@ class Motion:
     def reachable(self, pose: Sequence[float]) -> bool:
         """Whether the configured TCP can be brought to a pose."""
         try:
-            self._plant.inverse(pose, self._target.q)
+            self.joints_at(pose)
         except KinematicsError:
             return False
         return True
+
+    def joints_at(self, pose: Sequence[float]) -> list[float]:
+        """Joint angles (6,) nearest to the target that bring the configured TCP to a pose.
+
+        Raises:
+            KinematicsError: there are none.
+        """
+        flange = compose(pose, invert(self._plant.tcp_offset))
+        return inverse((flange[0], flange[1], flange[2]), rotation_of(*flange[3:]), self._target.q)
 
     def _take(self, mover: Mover | None) -> None:
         """Let `mover` go on from the present target and speed."""
