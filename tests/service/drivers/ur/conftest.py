@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 import pytest
 import uvloop
 
-ON_BOTH_LOOPS = {"test_rtde.py"}
+ON_BOTH_LOOPS = {"test_rtde.py", "test_dashboard.py", "test_script_upload.py", "test_gripper.py"}
 
 
 def pytest_asyncio_loop_factories(
