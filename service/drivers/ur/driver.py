@@ -5,6 +5,7 @@ makes samples of what comes back, and asks an operator's wishes of the dashboard
 """
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Callable
 
@@ -26,7 +27,7 @@ from sim_backend.protocol.wire import TICK_S
 FRESH_S = 1.0
 """Robot's time in which samples and camera frames of a world that was just laid out must come."""
 ESCALATE_S = 1.0
-"""Host time in which an ended program must be measured to have brought the arm to rest; else its power is cut."""
+"""Time in which an ended program must be measured to have brought the arm to rest; else its power is cut."""
 POLL_S = 0.01
 STANDSTILL_RAD_S = 0.02
 """Of the fastest joint: below it the arm stands."""
@@ -241,11 +242,12 @@ class UrDriver:
             _log.error("escalate", what="the arm's power was cut")
 
     async def _comes_to_rest(self) -> bool:
-        begun = self._link.package
-        end_s = time.monotonic() + ESCALATE_S
-        while time.monotonic() < end_s:
-            package = self._link.package
-            if package is not None and package is not begun and max(map(abs, package.qd)) < STANDSTILL_RAD_S:
-                return True
-            await asyncio.sleep(POLL_S)
+        begun, end_s = self._link.package, self.clock() + ESCALATE_S
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(2.0 * ESCALATE_S):  # in lockstep without a link, no time passes
+                while self.clock() < end_s:
+                    package = self._link.package
+                    if package is not None and package is not begun and max(map(abs, package.qd)) < STANDSTILL_RAD_S:
+                        return True
+                    await asyncio.sleep(POLL_S)
         return False

@@ -229,10 +229,9 @@ class UrLink:
         self._arrived.set()
 
     def _write(self, values: tuple[int | float, ...]) -> None:
-        if self._mute:
+        if self._mute or self.package is None:
             return
-        if self.package is not None:
-            self._last_written_tick = self.package.tick
+        self._last_written_tick = self.package.tick
         self._client.send(0, values)
 
     def _lose(self, error: RtdeError) -> None:

@@ -1,0 +1,278 @@
+"""The driver against an emulated controller, over real sockets."""
+
+import asyncio
+
+import numpy as np
+import pytest
+
+from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, Program, Setup, StopReason
+from service.drivers.ur.driver import UrDriver
+from service.drivers.ur.gate import Verdict
+from service.faults import FaultCode
+from sim_backend.protocol.wire import TICK_S
+from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.safety import RobotMode, RuntimeState, SafetyMode
+from tests.service.drivers.ur.cells import ur_config
+from tests.service.drivers.ur.emulated import Emulated, emulated
+from training.design import LAW
+
+SETUP = Setup(3, "tr", 2e-3, "easy")
+COMPLIANCE = ComplianceLaw(np.array(LAW.stiffness), np.array(LAW.damping), np.array(LAW.inertia), np.array([0.1, 3.0]))
+LIMITS = Limits(np.array([0.012, 0.3]), np.array(ur_config().limits.workspace_m), 30.0, 0.3)
+
+FOREIGN = """
+def foreign():
+  while True:
+    speedl([0.0, 0.0, 0.03, 0.0, 0.0, 0.0], 0.5, 0.1)
+  end
+end
+"""
+"""A program that somebody else runs."""
+
+
+async def engaged(arm: Emulated) -> None:
+    """Connect, prepare, zero and engage, as a run does."""
+    await arm.driver.connect(arm)
+    await arm.driver.prepare(SETUP)
+    arm.driver.zero_ft()
+    await arm.pass_time(0.1)
+    arm.driver.engage(COMPLIANCE, LIMITS)
+    await arm.until(lambda: arm.samples[-1].program is Program.ENGAGED, 0.2)
+
+
+def step(arm: Emulated, dz: float) -> int:
+    sample = arm.samples[-1]
+    x, y, z = sample.tcp_position
+    return arm.driver.send_target(PoseTarget(np.array([x, y, z + dz]), sample.tcp_rotvec))
+
+
+async def test_a_connection_passes_the_gate_and_brings_a_sample_for_every_tick() -> None:
+    async with emulated() as arm:
+        felt = {}
+        arm.before_tick = lambda: felt.update({round(arm.controller.time_s / TICK_S): arm.plant.wrench})
+        await arm.driver.connect(arm)
+        assert {check.verdict for check in arm.driver.checks} == {Verdict.PASSED}
+        await arm.until(lambda: len(arm.samples) >= 50)
+        assert np.all(np.diff([sample.seq for sample in arm.samples]) == 1)
+        sample = arm.samples[-1]
+        assert (sample.program, sample.stop_reason) == (Program.IDLE, StopReason.NONE)
+        assert (sample.robot_mode, sample.safety_mode) == (7, 1)
+        assert sample.tcp_position == pytest.approx(arm.plant.world.position[0], abs=1e-6)
+        for sample in arm.samples[:40]:
+            assert sample.wrench == pytest.approx(felt[sample.seq], abs=1e-6), "the torque is about the TCP"
+        assert arm.faults == []
+
+
+async def test_a_target_is_echoed_at_once_and_the_arm_goes_there() -> None:
+    async with emulated() as arm:
+        await engaged(arm)
+        start_z = arm.plant.world.position[0, 2]
+        sent_s = arm.controller.time_s
+        number = step(arm, -0.01)
+        await arm.until(lambda: arm.samples[-1].command_seq == number)
+        assert arm.controller.time_s - sent_s <= (3 + arm.plant.input_delay) * TICK_S
+        goal = start_z - 0.01
+        while arm.plant.world.position[0, 2] > goal + 1e-3:
+            sample = arm.samples[-1]
+            arm.driver.send_target(PoseTarget(np.array([*sample.tcp_position[:2], goal]), sample.tcp_rotvec))
+            await arm.pass_time(0.05)
+        arm.driver.stop()
+        await arm.until(lambda: arm.samples[-1].program is Program.IDLE)
+        assert arm.samples[-1].stop_reason is StopReason.COMMAND
+        assert arm.plant.world.position[0, 2] == pytest.approx(goal, abs=1.5e-3)
+
+
+async def test_a_zero_that_was_asked_just_before_engaging_is_not_lost() -> None:
+    async with emulated() as arm:
+        await arm.driver.connect(arm)
+        await arm.driver.prepare(SETUP)
+        await arm.pass_time(0.3)
+        biased = np.mean([sample.wrench for sample in arm.samples[-100:]], axis=0)
+        arm.driver.zero_ft()
+        arm.driver.engage(COMPLIANCE, LIMITS)
+        await arm.until(lambda: arm.samples[-1].program is Program.ENGAGED, 0.2)
+        await arm.pass_time(0.25)
+        zeroed = np.mean([sample.wrench for sample in arm.samples[-100:]], axis=0)
+        assert np.linalg.norm(biased[:3]) > 1.5
+        assert np.linalg.norm(zeroed[:3]) < 0.6
+
+
+async def test_a_program_that_somebody_stops_is_said_to_have_ended_and_starts_again_with_the_next_run() -> None:
+    async with emulated() as arm:
+        await engaged(arm)
+        arm.controller.stop_program()
+        await arm.until(lambda: arm.samples[-1].program is Program.IDLE)
+        assert arm.samples[-1].stop_reason is StopReason.PROGRAM_ENDED
+        await arm.pass_time(0.3)
+        assert arm.controller.runtime_state is RuntimeState.STOPPED, "nothing starts by itself"
+        await arm.driver.prepare(SETUP)
+        await arm.pass_time(0.02)
+        assert arm.controller.runtime_state is RuntimeState.PLAYING
+        assert (arm.samples[-1].program, arm.samples[-1].stop_reason) == (Program.IDLE, StopReason.NONE)
+
+
+async def test_another_program_on_the_controller_is_left_alone() -> None:
+    async with emulated(prepare=lambda controller: controller.run_script(FOREIGN)) as arm:
+        with pytest.raises(DriverError, match="another program") as refused:
+            await arm.driver.connect(arm)
+        assert refused.value.code is FaultCode.AUTHORITY
+        assert arm.controller.program_name == "foreign"
+        assert arm.controller.runtime_state is RuntimeState.PLAYING
+
+
+async def test_a_program_that_replaces_ours_is_not_taken_for_it() -> None:
+    async with emulated() as arm:
+        await engaged(arm)
+        arm.controller.run_script(FOREIGN)
+        await arm.until(lambda: arm.samples[-1].program is Program.IDLE, 0.3)
+        assert arm.samples[-1].stop_reason is StopReason.PROGRAM_ENDED
+
+
+async def test_two_drivers_of_one_arm_are_one_too_many_and_the_register_is_named() -> None:
+    async with emulated() as arm:
+        await arm.driver.connect(arm)
+        second = UrDriver(arm.config, mode="lockstep")
+        with pytest.raises(DriverError, match="input_int_register_24") as refused:
+            await second.connect(arm)
+        assert refused.value.code is FaultCode.AUTHORITY
+        await second.close()
+        await arm.pass_time(0.1)
+        assert arm.faults == []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (lambda controller: setattr(controller, "remote_control", False), "remote control"),
+        (Controller.power_off, "robot mode"),
+        (lambda controller: controller.protective_stop("test"), "safety mode"),
+        (lambda controller: controller.set_speed_slider(0.4), "speed slider"),
+    ],
+)
+async def test_an_arm_that_is_not_ready_is_connected_and_refuses_a_run_with_what_to_do(spoil, text: str) -> None:
+    async with emulated(prepare=spoil) as arm:
+        await arm.driver.connect(arm)
+        await arm.pass_time(0.05)
+        assert arm.samples, "the operator sees the arm"
+        assert arm.controller.runtime_state is not RuntimeState.PLAYING
+        with pytest.raises(DriverError, match=text) as refused:
+            await arm.driver.prepare(SETUP)
+        assert refused.value.code is FaultCode.AUTHORITY
+
+
+async def test_a_protective_stop_is_unlocked_by_an_operator_only_and_after_five_seconds() -> None:
+    async with emulated() as arm:
+        await engaged(arm)
+        arm.controller.protective_stop("test")
+        await arm.until(lambda: arm.samples[-1].program is Program.PROTECTIVE_STOP)
+        arm.driver.unlock()
+        await arm.pass_time(5.5)
+        assert arm.controller.safety_mode is SafetyMode.PROTECTIVE_STOP, "too early, and never asked again by itself"
+        arm.driver.unlock()
+        await arm.until(lambda: arm.controller.safety_mode is SafetyMode.NORMAL)
+        await arm.pass_time(0.2)
+        assert arm.controller.runtime_state is RuntimeState.STOPPED
+        await arm.driver.prepare(SETUP)
+        assert arm.controller.runtime_state is RuntimeState.PLAYING
+
+
+async def test_a_stop_is_repeated_until_the_program_has_seen_it() -> None:
+    async with emulated() as arm:
+        await engaged(arm)
+        for _ in range(10):
+            step(arm, -0.005)
+            await arm.pass_time(0.02)
+        lost = arm.controller.inputs.receive
+        arm.controller.inputs.receive = lambda names, values, due: None  # type: ignore[method-assign]
+        arm.driver.stop()
+        await arm.pass_time(0.03)
+        arm.controller.inputs.receive = lost  # type: ignore[method-assign]
+        await arm.until(lambda: arm.samples[-1].program is Program.STOPPING, 0.03)
+        assert arm.samples[-1].stop_reason is StopReason.COMMAND
+
+
+async def test_a_host_that_hears_nothing_writes_nothing_and_the_watchdog_ends_the_program() -> None:
+    async with emulated() as arm:
+        await engaged(arm)
+        for _ in range(10):
+            step(arm, -0.005)
+            await arm.pass_time(0.02)
+        before = arm.controller.time_s
+        for _ in range(120):  # the driver's loop hangs: the world goes on, and nobody reads
+            arm.server.step()
+            if arm.controller.runtime_state is not RuntimeState.PLAYING:
+                break
+        assert arm.controller.time_s - before == pytest.approx(0.1, abs=0.015)
+        for _ in range(60):
+            arm.server.step()
+        assert np.abs(arm.plant.qd).max() < 1e-3
+
+
+async def test_the_last_resort_ends_a_program_that_does_not_obey() -> None:
+    async with emulated() as arm:
+        await engaged(arm)
+        arm.controller.run_script(FOREIGN)
+        await arm.pass_time(0.3)
+        assert np.abs(arm.plant.qd).max() > 0.02, "it moves whatever the registers say"
+        arm.driver.escalate()
+        await arm.until(lambda: arm.controller.runtime_state is RuntimeState.STOPPED)
+        await arm.pass_time(0.3)
+        assert np.abs(arm.plant.qd).max() < 1e-3
+        assert arm.controller.robot_mode is RobotMode.RUNNING, "the program's end was enough"
+
+
+async def test_the_last_resort_cuts_the_power_where_the_program_s_end_does_not_help() -> None:
+    async with emulated() as arm:
+        await engaged(arm)
+        arm.controller.run_script(FOREIGN)
+        arm.controller.stop_program = lambda: None  # type: ignore[method-assign]
+        await arm.pass_time(0.3)
+        arm.driver.escalate()
+        async with asyncio.timeout(20.0):
+            while arm.controller.robot_mode is not RobotMode.POWER_OFF:
+                await asyncio.sleep(0)
+        await arm.pass_time(0.3)
+        assert np.abs(arm.plant.qd).max() < 1e-3
+
+
+async def test_a_world_that_somebody_else_lays_out_is_a_fault_of_the_source() -> None:
+    async with emulated() as arm:
+        await arm.driver.connect(arm)
+        await arm.driver.prepare(SETUP)
+        await arm.pass_time(0.05)
+        assert arm.faults == []
+        assert arm.driver._stage is not None
+        await arm.driver._stage.lay_out(SETUP)
+        await arm.pass_time(0.02)
+        assert [code for code, _ in arm.faults] == [FaultCode.SOURCE]
+
+
+async def test_a_lost_connection_is_told_once_and_a_controller_that_is_gone_named() -> None:
+    async with emulated() as arm:
+        await engaged(arm)
+        arm.paused = True
+        arm.server.close()
+        while not arm.faults:
+            await asyncio.sleep(0)
+        assert [code for code, _ in arm.faults] == [FaultCode.LINK]
+        with pytest.raises(DriverError) as refused:
+            await arm.driver.connect(arm)
+        assert refused.value.code is FaultCode.LINK
+
+
+async def test_a_real_arm_has_no_seed() -> None:
+    async with emulated() as arm:
+        real = UrDriver(arm.config, mode="lockstep")
+        assert not real.simulated
+        with pytest.raises(DriverError, match="no seed"):
+            await real.prepare(SETUP)
+
+
+async def test_a_watchdog_that_does_not_work_keeps_the_cell_unconnected() -> None:
+    def deaf(controller: Controller) -> None:
+        controller._watch = lambda: None  # type: ignore[method-assign]
+
+    async with emulated(prepare=deaf) as arm:
+        with pytest.raises(DriverError, match="watchdog"):
+            await arm.driver.connect(arm)
+        assert [check.name for check in arm.driver.checks if check.verdict is Verdict.FAILED] == ["watchdog"]
