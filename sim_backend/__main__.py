@@ -87,6 +87,7 @@ def ur_controller(
     listen: Annotated[
         list[str] | None, typer.Option(help="Zenoh endpoint for what surrounds the arm; none unless given.")
     ] = None,
+    connect: Annotated[list[str] | None, typer.Option(help="Zenoh endpoint to join, likewise.")] = None,
     allow_remote: Annotated[bool, typer.Option(help="Allow addresses outside this machine.")] = False,
 ) -> None:
     """Serve an emulated e-Series controller whose arm is the simulated one, until SIGINT, SIGTERM or its shutdown."""
@@ -96,7 +97,9 @@ def ur_controller(
             task = Task.from_json({"seed": seed, "part": part})
             check_host(host, allow_remote=allow_remote)
             refused = request_scheduling()  # before Zenoh starts its threads, as in `serve`
-            session = stack.enter_context(open_session(listen, allow_remote=allow_remote)) if listen else None
+            session = None
+            if listen or connect:
+                session = stack.enter_context(open_session(listen or [], connect or [], allow_remote=allow_remote))
             plant = Plant(World(1, task.part))
             plant.lay_out(task)
             controller = Controller(plant)
