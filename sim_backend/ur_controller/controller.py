@@ -229,13 +229,16 @@ class Controller:
         """Release the brakes, powering on before where needed; ends in RUNNING after a while."""
         self.safety.brake_release()
 
-    def unlock_protective_stop(self) -> None:
+    def unlock_protective_stop(self, *, at_once: bool = False) -> None:
         """Leave the protective stop.
+
+        Args:
+            at_once: as the script ports do it; the dashboard and the pendant wait for 5 s.
 
         Raises:
             Refused: earlier than 5 s after it.
         """
-        if not self.safety.unlock_protective_stop():
+        if not self.safety.unlock_protective_stop(at_once=at_once):
             raise Refused(UNLOCK_TOO_EARLY)
 
     def close_safety_popup(self) -> None:

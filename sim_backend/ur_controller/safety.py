@@ -138,10 +138,10 @@ class Safety:
             self._protective_ticks = 0
         self._add(SafetyMode.PROTECTIVE_STOP, reason)
 
-    def unlock_protective_stop(self) -> bool:
-        """Leave a protective stop; returns False, and changes nothing, when it is too young."""
+    def unlock_protective_stop(self, *, at_once: bool = False) -> bool:
+        """Leave a protective stop; returns False, and changes nothing, when it is too young and not `at_once`."""
         if SafetyMode.PROTECTIVE_STOP in self._reasons:
-            if self._protective_ticks * TICK_S < UNLOCK_AFTER_S:
+            if not at_once and self._protective_ticks * TICK_S < UNLOCK_AFTER_S:
                 return False
             self._remove(SafetyMode.PROTECTIVE_STOP, "unlocked")
         return True

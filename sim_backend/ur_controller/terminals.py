@@ -8,8 +8,8 @@ from collections.abc import Callable
 STANDARD, CONFIGURABLE, TOOL = range(8), range(8, 16), range(16, 18)
 CURRENT, VOLTAGE = 0, 1
 """Domains of an analog terminal: 4–20 mA or 0–10 V."""
-LARGEST_CURRENT_A = 0.02
-LARGEST_VOLTAGE_V = 10.0
+RANGES = ((0.004, 0.020), (0.0, 10.0))
+"""First and last value of an analog terminal by domain, A and V."""
 TOOL_VOLTAGES = (0, 12, 24)
 
 
@@ -30,7 +30,7 @@ class Terminals:
         self.digital_inputs = 0
         self.digital_outputs = 0
         self.analog_inputs = [0.0, 0.0, 0.0, 0.0]
-        self.analog_outputs = [0.0, 0.0]
+        self.analog_outputs = [RANGES[CURRENT][0]] * 2
         self.analog_input_domains = [VOLTAGE, VOLTAGE, VOLTAGE, VOLTAGE]
         self.analog_output_domains = [CURRENT, CURRENT]
         self.tool_voltage = 0
@@ -46,8 +46,8 @@ class Terminals:
     def write_analog(self, number: int, share: float) -> None:
         """Set one analog output to a share of its full scale; below 0 and above 1 count as these."""
         share = min(max(share, 0.0), 1.0) if share == share else 0.0  # NaN comes over the network
-        largest = LARGEST_VOLTAGE_V if self.analog_output_domains[number] == VOLTAGE else LARGEST_CURRENT_A
-        self.analog_outputs[number] = share * largest
+        first, last = RANGES[self.analog_output_domains[number]]
+        self.analog_outputs[number] = first + share * (last - first)
 
     @property
     def analog_types(self) -> int:

@@ -122,6 +122,30 @@ def test_a_zero_right_after_a_reset_is_as_good_as_one_after_a_long_rest():
     assert ft.wrench[0] == pytest.approx(np.zeros(6), abs=1e-9)
 
 
+def test_any_payload_and_tcp_can_be_configured():
+    rng = np.random.default_rng(2)
+    rotation = pose.rotation_from_rotvec(rng.uniform(-2, 2, (50, 3)))
+    centre, tip = rng.uniform(-0.2, 0.2, (2, 3))
+    force, moment = rng.uniform(-5, 5, (50, 3)), rng.uniform(-1, 1, (50, 3))
+    carried = rotation.swapaxes(-1, -2) @ np.array([0.0, 0.0, -1.7 * 9.81])
+    carried = np.concatenate([carried, np.cross(centre, carried)], axis=1)
+    ft = sensor(50)
+    ft.configure(1.7, centre, tip, rotation)
+    ft.read(carried + contact(rotation, force, moment, rotation @ tip), rotation)
+    assert ft.wrench == pytest.approx(np.concatenate([force, moment], 1), abs=1e-12)
+
+
+def test_a_zero_after_another_payload_is_as_good_as_one_before():
+    ft = sensor(bias=np.full(6, 0.5))
+    tilted = pose.rotation_from_rotvec(np.array([[2.5, 0.4, 0.0]]))
+    for _ in range(2000):
+        ft.read(weight(tilted), tilted)
+    ft.configure(0.2, (0.1, 0.0, 0.0), (0.0, 0.0, TCP), tilted)
+    ft.zero(np.array([0]))
+    ft.read(weight(tilted), tilted)
+    assert ft.wrench[0] == pytest.approx(np.zeros(6), abs=1e-6)
+
+
 def test_zeroing_one_sensor_leaves_the_others():
     ft = sensor(2, bias=np.full(6, 1.0))
     ft.read(np.repeat(weight(DOWN), 2, 0), np.repeat(DOWN, 2, 0))

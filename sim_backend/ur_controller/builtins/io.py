@@ -7,12 +7,10 @@ from sim_backend.ur_controller.script import Builtin, ScriptRuntimeError
 from sim_backend.ur_controller.script.values import Value, integer, number, truth
 from sim_backend.ur_controller.terminals import (
     CONFIGURABLE,
-    LARGEST_CURRENT_A,
-    LARGEST_VOLTAGE_V,
+    RANGES,
     STANDARD,
     TOOL,
     TOOL_VOLTAGES,
-    VOLTAGE,
     Terminals,
 )
 
@@ -28,7 +26,8 @@ def io_builtins(terminals: Terminals) -> dict[str, Builtin]:
 
     def share(values: list[float], domains: list[int], group: range, n: Value) -> float:
         index = _terminal(group, n)
-        return values[index] / (LARGEST_VOLTAGE_V if domains[index] == VOLTAGE else LARGEST_CURRENT_A)
+        first, last = RANGES[domains[index]]
+        return max(0.0, (values[index] - first) / (last - first))
 
     def digital_in(group: range) -> Callable[[Value], bool]:
         def read(n: Value) -> bool:

@@ -211,7 +211,7 @@ def test_every_input_reaches_what_it_is_for(bench):
     assert bench.get("input_bit_register_64") is True
     assert bench.get("target_speed_fraction") == 0.25
     assert bench.get("actual_digital_output_bits") == 0b10 | 1 << 8 | 1 << 17
-    assert bench.get("standard_analog_output0") == pytest.approx(0.010)
+    assert bench.get("standard_analog_output0") == pytest.approx(0.012)
     assert bench.get("standard_analog_output1") == 0.0
     assert bench.get("analog_io_types") >> 2 == 0b10
     # a value without its mask counts for nothing
@@ -299,6 +299,12 @@ def test_a_protective_stop_is_unlocked_after_five_seconds_and_nothing_moves_by_i
     assert bench.plant.q == pytest.approx(stood, abs=1e-4)
     bench.heard.clear()
     bench.finish(AWAY)
+
+
+def test_a_script_port_may_unlock_at_once(bench):
+    bench.controller.protective_stop("test")
+    bench.controller.unlock_protective_stop(at_once=True)
+    assert bench.controller.safety_mode is SafetyMode.NORMAL
 
 
 def test_too_much_force_is_a_protective_stop_and_the_arm_gives_way(bench):
