@@ -73,12 +73,11 @@ class PrimaryService:
         self._writable: dict[Connection, bool] = {}
         self._silent: dict[Connection, int] = {}
         self._ticks = 0
-        self._unlock_asked = False
         self._commands: dict[str, Callable[[], None]] = {
             "power on": controller.power_on,
             "power off": controller.power_off,
             "set robotmode run": controller.brake_release,
-            "set unlock protective stop": self._ask_unlock,
+            "set unlock protective stop": self._unlock,
             "stop program": controller.stop_program,
             "pause program": controller.pause,
             "resume program": controller.play,
@@ -116,8 +115,6 @@ class PrimaryService:
 
     def publish(self) -> None:
         """Send what is due to those who have read what they got before."""
-        if self._unlock_asked:
-            self._unlock()
         for connection, ticks in list(self._silent.items()):
             if ticks > 1:
                 self._silent[connection] = ticks - 1
@@ -166,18 +163,9 @@ class PrimaryService:
         if self._kind == "primary":  # the other ports have no messages
             self._tell(connection, self._framed(error))
 
-    def _ask_unlock(self) -> None:
-        """Unlock, or keep the wish until the stop is old enough: the port has no way to say that it came too early."""
-        self._unlock_asked = True
-        self._unlock()
-
     def _unlock(self) -> None:
-        if self._controller.safety_mode is SafetyMode.PROTECTIVE_STOP:
-            try:
-                self._controller.unlock_protective_stop()
-            except Refused:
-                return
-        self._unlock_asked = False
+        """Unlock a protective stop of any age: the wait of 5 s is the dashboard's and the pendant's."""
+        self._controller.unlock_protective_stop(at_once=True)
 
     # --- messages ---------------------------------------------------------------------------------------------------
 

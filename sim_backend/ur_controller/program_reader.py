@@ -6,7 +6,8 @@ from collections.abc import Iterator
 LIMIT = 1 << 20
 """Bytes of the largest program that is taken."""
 
-_TOKEN = re.compile(r'"[^"]*"|#.*|\b(?:def|sec|thread|if|while|end)\b')
+_TOKEN = re.compile(r'"[^"]*"|#.*|(?<!\.)\b(?:def|sec|thread|if|while|end)\b')
+"""A keyword after a dot is the name of a field, as in `time().sec`."""
 _BLOCK = frozenset(("def", "sec", "thread", "if", "while"))
 
 

@@ -66,7 +66,9 @@ def test_a_stray_end_is_a_line_for_the_compiler_to_refuse() -> None:
 
 
 def test_names_that_hold_a_keyword_open_no_block() -> None:
-    assert read(b"end_force_mode()\niffy = 1\n") == ["end_force_mode()\n", "iffy = 1\n"]
+    lines = ["end_force_mode()\n", "iffy = 1\n", "x = time().sec\n"]
+
+    assert read("".join(lines).encode()) == lines
 
 
 def test_the_control_program_is_one_program() -> None:
