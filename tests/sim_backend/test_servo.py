@@ -39,7 +39,7 @@ def test_a_payload_that_was_not_configured_pulls_the_arm_down(world):
     light = servo(world, 0.0)
     assert (sag(world, light) > 1e-4).all()
     light.set_payload(scene.PAYLOAD_KG, COM)
-    assert (sag(world, light) < 0.0).all()  # it comes up again
+    assert sag(world, light) == pytest.approx(np.zeros(2), abs=2e-5)
 
 
 def test_a_moving_arm_is_where_its_reference_is(world):
@@ -50,7 +50,7 @@ def test_a_moving_arm_is_where_its_reference_is(world):
     for _ in range(300):
         joints += 0.002 * speeds
         world.drive(made.set_points(joints, speeds))
-    assert world.joints == pytest.approx(joints - 0.002 * speeds, abs=5e-4)  # by one tick late
+    assert world.joints == pytest.approx(joints + 0.002 * speeds, abs=5e-4)  # where it is in the next tick
     assert world.joint_speeds == pytest.approx(speeds, abs=0.01)
 
 

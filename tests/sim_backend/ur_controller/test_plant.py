@@ -38,7 +38,7 @@ def test_the_arm_follows_joint_targets_that_move_and_those_that_stand(plant):
     for _ in range(250):
         q = q + 0.002 * speed
         plant.drive(q, speed)
-    assert plant.q == pytest.approx(q, abs=1e-3)  # a tick late
+    assert plant.q == pytest.approx(q, abs=1e-3)  # a tick ahead
     assert plant.qd == pytest.approx(speed, abs=0.01)
     hold(plant, 100, q)
     assert plant.q == pytest.approx(q, abs=1e-4)
