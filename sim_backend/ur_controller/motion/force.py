@@ -66,6 +66,8 @@ class ForceMode:
         program: Sequence[float],
         point: Vector,
         measured: Sequence[float],
+        *,
+        saturated: bool,
         damping: float,
         gain: float,
         fraction: float,
@@ -76,6 +78,7 @@ class ForceMode:
             program: (6,) twist that the program asks for, base frame.
             point: the TCP, base frame.
             measured: (6,) wrench on the tool at the TCP, base axes.
+            saturated: the sensor is at the end of its range, so the load is larger than measured.
             damping: 0 … 1.
             gain: 0 … 2.
             fraction: of the full speed, 0 … 1; a paused program does not give way either.
@@ -95,6 +98,8 @@ class ForceMode:
                 push = TICK_S * gain * (self._wrench[i] + felt[i])
                 value = (_MASS[i] * speed[i] + push) / (_MASS[i] + drag * _DAMPING[i])
                 limit = self._limits[i] * fraction
+                if saturated and value * self._wrench[i] > 0.0:
+                    limit = 0.0  # what the arm applies may stay below what was asked for
                 twist[i] = speed[i] = max(-limit, min(limit, value))
             else:
                 twist[i], speed[i] = asked[i], 0.0

@@ -1,15 +1,18 @@
 """Movers in joint space: movej, speedj and stopj, servoj."""
 
+import math
 from collections.abc import Sequence
 
 from sim_backend.kinematics import JOINT_SPEED_RAD_S
 from sim_backend.protocol.wire import TICK_S
+from sim_backend.ur_controller.plant import Plant
 
 from .mover import Course, JointMover, Timer
 from .profile import Trapezoid
 
 _JOINTS = range(6)
 _SPEED: tuple[float, ...] = tuple(JOINT_SPEED_RAD_S.tolist())
+_HALVINGS = 12
 _SETTLED_RAD, _SETTLED_RAD_S = 1e-6, 1e-5
 
 
@@ -17,6 +20,19 @@ def leading_speed(path: Sequence[float], speed: float) -> float:
     """`speed` of the leading axis of a straight joint path (6,), lowered so that no joint turns faster than it can."""
     length = max(abs(d) for d in path)
     return min([speed, *(limit * length / abs(d) for limit, d in zip(_SPEED, path, strict=True) if d)])
+
+
+def blend_share(start: Sequence[float], target: Sequence[float], radius_m: float, plant: Plant) -> float:
+    """Share of a straight joint path (6,) at which the TCP comes within a radius of its end; 1 without a radius."""
+    if radius_m <= 0.0:
+        return 1.0
+    end = plant.tcp_pose_of(target)[:3]
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        point = plant.tcp_pose_of([a + middle * (b - a) for a, b in zip(start, target, strict=True)])[:3]
+        low, high = (low, middle) if math.dist(point, end) <= radius_m else (middle, high)
+    return high
 
 
 class MoveJ(JointMover):

@@ -15,7 +15,7 @@ from .cartesian import Arc, Line, PathMover, ServoC, SpeedL, standing
 from .contact import ContactMemory
 from .force import DEFAULT_DAMPING, DEFAULT_GAIN, ForceMode
 from .inverse import inverse
-from .joint import MoveJ, ServoJ, SpeedJ, leading_speed
+from .joint import MoveJ, ServoJ, SpeedJ, blend_share, leading_speed
 from .mover import JointMover, Mover, ToolMover
 from .profile import Trapezoid
 from .target import CannotMove, JointTarget
@@ -176,7 +176,7 @@ class Motion:
             path = [goal - here for here, goal in zip(start, target, strict=True)]
             length = max(abs(d) for d in path)
             profile = Trapezoid(length, leading_speed(path, v) if length else v, a, t)
-            return MoveJ(start, target, profile, length * self._blend_share(start, target, r), tail)
+            return MoveJ(start, target, profile, length * blend_share(start, target, r, self._plant), tail)
 
         mover = self._mover
         self._begin(build, mover if isinstance(mover, MoveJ) and mover.ready else None)
@@ -348,19 +348,6 @@ class Motion:
     def _stop(self, a: float) -> SpeedJ:
         return SpeedJ(self._target.q, self._target.qd, [0.0] * 6, a)
 
-    def _blend_share(self, start: Sequence[float], target: Sequence[float], radius: float) -> float:
-        """Share of a joint path at which the TCP comes within `radius` of its end."""
-        if radius <= 0.0:
-            return 1.0
-        end = self._plant.tcp_pose_of(target)
-        low, high = 0.0, 1.0
-        for _ in range(12):
-            middle = 0.5 * (low + high)
-            x, y, z, *_ = self._plant.tcp_pose_of([a + middle * (b - a) for a, b in zip(start, target, strict=True)])
-            near = (x - end[0]) ** 2 + (y - end[1]) ** 2 + (z - end[2]) ** 2 <= radius * radius
-            low, high = (low, middle) if near else (middle, high)
-        return high
-
     def _step(self, mover: Mover | None) -> None:
         target = self._target
         if self._freedrive and self._force is None:
@@ -389,8 +376,15 @@ class Motion:
             off = rotvec_of(multiply(rotation_of(turn[0], turn[1], turn[2]), transpose(rotation)))
             if self._force.exceeded((x - position[0], y - position[1], z - position[2], *off)):
                 raise CannotMove("the tool deviates too far from its path in force mode")
-            settings = self.force_damping, self.force_gain, self.speed_fraction
-            twist = self._force.step(twist, position, self._plant.wrench.tolist(), *settings)
+            twist = self._force.step(
+                twist,
+                position,
+                self._plant.wrench.tolist(),
+                saturated=self._plant.saturated,
+                damping=self.force_damping,
+                gain=self.force_gain,
+                fraction=self.speed_fraction,
+            )
         vx, vy, vz, wx, wy, wz = twist
         target.set_tool(
             (position[0] + TICK_S * vx, position[1] + TICK_S * vy, position[2] + TICK_S * vz),

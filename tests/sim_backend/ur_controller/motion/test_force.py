@@ -50,6 +50,16 @@ def test_it_touches_down_without_a_blow_in_any_plant(arm: Arm, seed: int):
     assert peak < 18.0
 
 
+def test_a_force_beyond_the_sensor_s_range_is_not_chased(arm: Arm):
+    _over_the_block(arm)
+    _push(arm, 60.0)
+    arm.run(600)
+    first = arm.pressing()
+    arm.run(300)
+    assert 25.0 < first < 60.0
+    assert arm.pressing() == pytest.approx(first, abs=2.0)
+
+
 def test_the_other_axes_do_not_give_way(arm: Arm):
     _over_the_block(arm)
     start, told = arm.plant.tcp_pose(), arm.motion.target_tcp_pose()
