@@ -44,7 +44,7 @@ LONGEST_SOURCE = 262_144
 LONGEST_QUOTE = 200
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def parse(text: str) -> Block:
     """The statements of a script.
 

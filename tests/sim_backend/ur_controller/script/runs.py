@@ -6,6 +6,7 @@ from sim_backend.ur_controller.builtins.mathematics import MATHEMATICS
 from sim_backend.ur_controller.builtins.poses import POSES
 from sim_backend.ur_controller.builtins.strings import STRINGS
 from sim_backend.ur_controller.script import Builtin, Execution, State, Value, compile_source
+from sim_backend.ur_controller.script.values import integer
 
 
 class Run:
@@ -35,12 +36,13 @@ class Run:
         self.threads.append(self.execution.current_thread.name)
 
     def move(self, ticks: Value = 3, name: Value = "") -> Generator[None, None, Value]:
+        count = integer(ticks, "ticks")
         try:
-            for _ in range(ticks):
+            for _ in range(count):
                 yield
         finally:
             self.closed.append(name)
-        return ticks * 10
+        return count * 10
 
     def stop(self) -> None:
         self.execution.kill()
