@@ -112,10 +112,13 @@ def test_no_module_is_too_long_to_read_in_one_sitting() -> None:
 
 def test_nothing_of_ours_bears_the_name_of_a_certified_function() -> None:
     claim = re.compile(r"\be-?stop\b|\bemergency[ _-]stop", re.IGNORECASE)
-    # UR's own safety modes keep their names.
+    # What stands for the vendor's robot, and speaks of the stops that it has itself, keeps their names.
+    robot = ("sim_backend/ur_controller/", "sim_backend/protocol/primary", "service/drivers/ur/", "docs/ur.md")
+    modules = [path for path in MODULES if not str(path.relative_to(ROOT)).startswith(robot)]
+    documents = [path for path in DOCUMENTS if not str(path.relative_to(ROOT)).startswith(robot)]
     named = [
         f"{path.relative_to(ROOT)}:{number}"
-        for path in (*MODULES, *DOCUMENTS, *(ROOT / "api").rglob("*.html"), *(ROOT / "api").rglob("*.js"))
+        for path in (*modules, *documents, *(ROOT / "api").rglob("*.html"), *(ROOT / "api").rglob("*.js"))
         for number, line in enumerate(path.read_text().splitlines(), 1)
         if claim.search(line) and not re.search(r"\bnot\b|\bno\b|\bnever\b|robot's own|\bUR\b", line)
     ]
