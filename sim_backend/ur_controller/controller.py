@@ -43,6 +43,8 @@ from sim_backend.ur_controller.terminals import Terminals
 START_TICK = 30_000
 """Ticks that the controller says to have run when it is made: clients wait for a timestamp of 40 s."""
 
+EXTERNAL_SENSOR_HZ = 10.0
+
 _TICKS_PER_S = round(1.0 / TICK_S)
 _MOVING_MODES = (SafetyMode.NORMAL, SafetyMode.REDUCED, SafetyMode.SAFEGUARD_STOP)  # in the last to come to rest
 
@@ -202,12 +204,16 @@ class Controller:
     def use_external_sensor(self, lever: Sequence[float] | None) -> None:
         """Take forces from `external_force_torque` of RTDE instead of the built-in sensor, or from that one again.
 
+        Where no watchdog is set, one watches over that input, at 10 Hz, as on the real controller.
+
         Args:
             lever: (3,) where the external sensor measures, in the flange's frame, m; None for the built-in one.
         """
         self._external_lever = lever
         if lever is None:
             self.plant.external_wrench = None
+        elif not self.inputs.watchdogs:
+            self.inputs.watch("external_force_torque", EXTERNAL_SENSOR_HZ, "pause")
 
     def close(self) -> None:
         """End the programs and close what they have opened."""

@@ -4,7 +4,7 @@ import pytest
 from sim_backend import scene
 from sim_backend.ur_controller import events
 from sim_backend.ur_controller.geometry import compose, invert
-from sim_backend.ur_controller.safety import RobotMode
+from sim_backend.ur_controller.safety import RobotMode, RuntimeState
 
 WEIGHT_N = scene.PAYLOAD_KG * 9.81
 
@@ -157,3 +157,13 @@ def test_an_external_sensor_takes_the_place_of_the_built_in_one(bench):
     bench.heard.clear()
     bench.finish("enable_external_ft_sensor(False, 0, [0,0,0], [0,0,0])\nsleep(0.02)")
     assert np.linalg.norm(bench.get("actual_TCP_force")[:3]) < 15.0
+
+
+def test_an_external_sensor_that_falls_silent_pauses_the_program(bench):
+    bench.program("ft_rtde_input_enable(True)\nwhile True:\n  sync()\nend")
+    for _ in range(5):
+        bench.controller.apply_inputs(("external_force_torque",), ((0.0,) * 6,))
+        bench.run(40)
+        assert bench.controller.runtime_state is RuntimeState.PLAYING
+    bench.run(150)
+    assert bench.controller.runtime_state is RuntimeState.PAUSED
