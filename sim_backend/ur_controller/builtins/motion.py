@@ -71,12 +71,12 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
 
     def movej(q: Value, a: Value = 1.4, v: Value = 1.05, t: Value = 0, r: Value = 0) -> Wait:
         target = joints_of(q, "q")
-        limits = _positive(a, "a"), _positive(v, "v"), _not_negative(t, "t"), _not_negative(r, "r")
+        limits = *_speeds(a, v, t), _not_negative(r, "r")
         return (yield from moving(lambda: motion.movej(target, *limits)))
 
     def movel(pose: Value, a: Value = 1.2, v: Value = 0.25, t: Value = 0, r: Value = 0) -> Wait:
         target = pose_of(pose, "pose")
-        limits = _positive(a, "a"), _positive(v, "v"), _not_negative(t, "t"), _not_negative(r, "r")
+        limits = *_speeds(a, v, t), _not_negative(r, "r")
         return (yield from moving(lambda: motion.movel(target, *limits)))
 
     def movep(pose: Value, a: Value = 1.2, v: Value = 0.25, r: Value = 0) -> Wait:
@@ -241,6 +241,14 @@ def _list(value: Value, what: str) -> list[Value]:
     if is_list(value) and len(value) == 6:
         return value
     raise ScriptRuntimeError(f"Type error: {what} must be a list of 6, not {text_of_kind(value)}")
+
+
+def _speeds(a: Value, v: Value, t: Value) -> tuple[float, float, float]:
+    """Acceleration, speed and time of a move; with a time the other two do not matter."""
+    time_s = _not_negative(t, "t")
+    if time_s > 0.0:
+        return _not_negative(a, "a"), _not_negative(v, "v"), time_s
+    return _positive(a, "a"), _positive(v, "v"), time_s
 
 
 def _positive(value: Value, what: str) -> float:

@@ -48,7 +48,7 @@ def test_targets_are_poses_or_joints(bench):
     bench.run(60)
     assert np.allclose(bench.plant.q, q, atol=1e-4)
     bench.heard.clear()
-    bench.finish(f"movej({LEVEL}, t=0.8)")
+    bench.finish(f"movej({LEVEL}, a=0, v=0, t=0.8)")
     assert np.allclose(_pose(bench)[:3], [0.28, -0.11, 0.15], atol=1e-5)
 
 
