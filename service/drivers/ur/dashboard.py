@@ -108,7 +108,7 @@ class DashboardClient:
                 Reason.UNREACHABLE, f"cannot reach the dashboard server at {where}: {error}"
             ) from error
         self._streams = streams
-        greeting = await self._line(streams[0], "the greeting")
+        greeting = await self._line(*streams, "the greeting")
         if "Dashboard Server" not in greeting:
             await self.close()
             raise DashboardError(Reason.UNREACHABLE, f"{where} greets with {greeting!r}: no dashboard server", greeting)
@@ -131,9 +131,7 @@ class DashboardClient:
         async with self._turn:
             if self._streams is None:
                 raise DashboardError(Reason.LOST, f"`{command}`: not connected to the dashboard server; connect first")
-            reader, writer = self._streams
-            writer.write(command.encode() + b"\n")
-            reply = await self._line(reader, f"`{command}`")
+            reply = await self._line(*self._streams, f"`{command}`", command.encode() + b"\n")
         if _NOT_REMOTE in reply:
             text = f"`{command}`: the robot is not in remote control; switch it on the pendant, then connect again"
             raise DashboardError(Reason.NOT_REMOTE, text, reply)
@@ -281,9 +279,14 @@ class DashboardClient:
             raise DashboardError(Reason.UNEXPECTED, f"`{question}` was answered with {reply!r}", reply)
         return found[1]
 
-    async def _line(self, reader: asyncio.StreamReader, what: str) -> str:
-        """Read a line, or close the connection and say why there is none."""
+    async def _line(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, what: str, question: bytes = b""
+    ) -> str:
+        """Send a question and read a line, or close the connection and say why there is none."""
         try:
+            if writer.is_closing():
+                raise ConnectionError("closed by the controller")  # writing to it would not say so on every event loop
+            writer.write(question)
             async with asyncio.timeout(self._timeout_s):
                 line = await reader.readline()
         except TimeoutError as error:

@@ -110,12 +110,15 @@ class Status:
 
 
 class Gripper:
-    """One connection to a gripper's server; requests run one after another, in the order of their calls."""
+    """One connection to a gripper's server; requests run one after another, in the order of their calls.
+
+    After LOST or TIMEOUT it has to be connected again; the gripper goes on with what it was told.
+    """
 
     def __init__(self, host: str, port: int = PORT) -> None:
         """Name the server; `connect` reaches it."""
-        self._host = host
-        self._port = port
+        self.host = host
+        self.port = port
         self._turn = asyncio.Lock()
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
 
@@ -137,9 +140,9 @@ class Gripper:
         await self.disconnect()
         try:
             async with asyncio.timeout(REPLY_TIMEOUT_S):
-                self._streams = await asyncio.open_connection(self._host, self._port)
+                self._streams = await asyncio.open_connection(self.host, self.port)
         except (OSError, TimeoutError) as error:
-            where = f"{self._host}:{self._port}"
+            where = f"{self.host}:{self.port}"
             text = f"cannot reach the gripper at {where}: {error or 'no answer'}; is its URCap installed?"
             raise GripperError(Reason.UNREACHABLE, text) from error
 
@@ -245,6 +248,8 @@ class Gripper:
                 raise GripperError(Reason.LOST, f"`{request}`: not connected to the gripper; connect first")
             reader, writer = self._streams
             try:
+                if writer.is_closing():
+                    raise ConnectionError("closed by the controller")  # writing would not say so on every event loop
                 async with asyncio.timeout(REPLY_TIMEOUT_S):
                     writer.write(request.encode() + b"\n")
                     reply = b""

@@ -109,6 +109,8 @@ async def _run(host: str, port: int, program: str, name: str, skipped: int) -> N
     try:
         packages = _packages(reader)
         await _await_running(packages)
+        if writer.is_closing():
+            raise ConnectionError("closed by the controller")  # writing would not say so on every event loop
         writer.write(program.encode())
         await writer.drain()
         async for package in packages:

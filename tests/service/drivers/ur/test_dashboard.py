@@ -1,4 +1,5 @@
 import asyncio
+import random
 from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
@@ -6,6 +7,7 @@ import pytest
 from service.drivers.ur.dashboard import DashboardClient, DashboardError, Reason
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.safety import RobotMode, RuntimeState, SafetyMode
+from tests.fault_proxy import FaultProxy, chunked
 from tests.service.drivers.ur.stepped import HOST, stepped_controller
 
 WAIT = "def wait():\n  while True:\n    sync()\n  end\nend\n"
@@ -204,3 +206,43 @@ async def test_a_silent_server_ends_the_connection() -> None:
 
     assert raised.value.reason is Reason.TIMEOUT
     assert not client.is_connected
+
+
+async def test_answers_that_come_byte_by_byte_are_read_whole() -> None:
+    async with stepped_controller() as (controller, ports), FaultProxy((HOST, ports.dashboard), HOST) as proxy:
+        proxy.to_client.spoil = proxy.to_service.spoil = chunked(random.Random(0), 2)
+        async with DashboardClient(proxy.host, proxy.port) as dashboard:
+            assert await dashboard.polyscope_version() == controller.versions[:3]
+            await dashboard.power_off()
+            assert await dashboard.robot_mode() == "POWER_OFF"
+
+
+async def test_a_connection_that_is_reset_is_lost_and_can_be_made_again() -> None:
+    async with (
+        stepped_controller() as (_, ports),
+        FaultProxy((HOST, ports.dashboard), HOST) as proxy,
+        DashboardClient(proxy.host, proxy.port) as dashboard,
+    ):
+        await proxy.reset()
+        with pytest.raises(DashboardError) as raised:
+            await dashboard.robot_mode()
+        assert raised.value.reason is Reason.LOST
+
+        await dashboard.connect()
+        assert await dashboard.robot_mode() == "RUNNING"
+
+
+async def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
+    async with (
+        stepped_controller() as (_, ports),
+        FaultProxy((HOST, ports.dashboard), HOST) as proxy,
+        DashboardClient(proxy.host, proxy.port, reply_timeout_s=0.5) as dashboard,
+    ):
+        proxy.to_client.stall()
+        with pytest.raises(DashboardError) as raised:
+            await dashboard.robot_mode()
+        assert raised.value.reason is Reason.TIMEOUT
+
+        proxy.to_client.resume()
+        await dashboard.connect()
+        assert await dashboard.safety_status() == "NORMAL"

@@ -1,5 +1,6 @@
 import asyncio
 import contextlib
+import random
 from collections.abc import AsyncIterator
 
 import pytest
@@ -8,6 +9,7 @@ from service.drivers.ur.gripper import Detection, Gripper, GripperError, Reason
 from sim_backend.ur_controller import gripper_server
 from sim_backend.ur_controller.gripper_server import GripperService
 from sim_backend.ur_controller.listener import Listener
+from tests.fault_proxy import FaultProxy, chunked
 
 HOST = "127.0.0.25"
 
@@ -115,3 +117,17 @@ async def test_a_server_that_goes_is_named() -> None:
             with pytest.raises(GripperError, match="connection broke") as raised:
                 await gripper.status()
     assert raised.value.reason is Reason.LOST
+
+
+async def test_a_connection_that_is_reset_is_lost_and_can_be_made_again() -> None:
+    async with served(gripper_server.Gripper(None)) as direct, FaultProxy((HOST, direct.port), HOST) as proxy:
+        proxy.to_client.spoil = chunked(random.Random(0), 2)
+        async with Gripper(proxy.host, proxy.port) as gripper:
+            assert (await gripper.open()).opening_mm == 85.0
+            await proxy.reset()
+            with pytest.raises(GripperError) as raised:
+                await gripper.status()
+            assert raised.value.reason is Reason.LOST
+
+            await gripper.connect()
+            assert (await gripper.status()).opening_mm == 85.0

@@ -1,5 +1,6 @@
 import asyncio
-from collections.abc import AsyncIterator
+import random
+from collections.abc import AsyncIterator, Callable
 
 import pytest
 
@@ -9,6 +10,7 @@ from sim_backend.protocol.primary.messages import encode_message
 from sim_backend.protocol.primary.packages import PackageType, frame
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.safety import RuntimeState
+from tests.fault_proxy import FaultProxy, Spoil, chunked, halved
 from tests.service.drivers.ur.stepped import HOST, stepped_controller
 
 WAIT = "def wait():\n  while True:\n    sync()\n  end\nend\n"
@@ -153,3 +155,29 @@ async def test_silence_ends_in_a_timeout() -> None:
             await upload(HOST, server.sockets[0].getsockname()[1], WAIT, timeout_s=0.1)
 
     assert raised.value.reason is Reason.TIMEOUT
+
+
+@pytest.mark.parametrize("spoil", [lambda: chunked(random.Random(0), 40), halved])
+async def test_a_program_in_pieces_runs_and_is_confirmed_in_pieces(robot: Robot, spoil: Callable[[], Spoil]) -> None:
+    controller, port = robot
+    async with FaultProxy((HOST, port), HOST) as proxy:
+        proxy.to_client.spoil = spoil()
+        proxy.to_service.spoil = chunked(random.Random(1), 3)
+        await upload(proxy.host, proxy.port, WAIT)
+
+    assert controller.runtime_state is RuntimeState.PLAYING
+
+
+async def test_a_program_that_a_reset_cut_short_does_not_run(robot: Robot) -> None:
+    controller, port = robot
+    async with FaultProxy((HOST, port), HOST) as proxy:
+        proxy.to_service.spoil = lambda program: [program[: len(program) // 2]]
+        uploading = asyncio.ensure_future(upload(proxy.host, proxy.port, WAIT))
+        while not controller.time_s > 61.0:
+            await asyncio.sleep(0)
+        await proxy.reset()
+        with pytest.raises(UploadError) as raised:
+            await uploading
+
+    assert raised.value.reason is Reason.LOST
+    assert controller.program_name == ""
