@@ -38,7 +38,9 @@ DEEPEST_EXPRESSION: Final = 120
 DEEPEST_BLOCK: Final = 30
 DEEPEST_LOOP: Final = 15
 MOST_BRANCHES: Final = 300
-COSTLIEST_PLAIN: Final = 200
+BUILTIN_COST: Final = 30
+"""Operations that a call of a builtin counts for; one that works on long values takes more by itself."""
+COSTLIEST_PLAIN: Final = 500
 """Operations of a function that runs to its end without a look at the budget."""
 
 
@@ -128,6 +130,7 @@ class Analysis:
                     open_calls[routine.number] += 1
                 elif call.name in self._builtins:
                     routine.waits |= self._builtins[call.name].blocking
+                    routine.cost += BUILTIN_COST
         settled = [r for r in routines if not open_calls[r.number]]
         for routine in settled:  # grows: callees first
             routine.waits |= routine.cost > COSTLIEST_PLAIN

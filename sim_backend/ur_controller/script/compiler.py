@@ -30,7 +30,8 @@ from .python_tree import (
     is_name,
     load,
     statement,
-    take_budget,
+    take,
+    take_or_wait,
     wait,
     while_,
 )
@@ -56,6 +57,8 @@ from .timing import sleep, sync
 
 FILE_NAME: Final = "<script>"
 MAIN: Final = "_main"
+CHEAP_BRANCH: Final = 8
+"""Operations that are paid for whether they are done or not."""
 _FLOW: Final[Table] = {"sync": Builtin.of(sync), "sleep": Builtin.of(sleep)}
 
 
@@ -126,7 +129,7 @@ class _StatementCompiler(ExpressionCompiler):
                 statements.append(if_(where, is_name(where, variable, "_missing"), [given]))
         statements += self._block(body, place)
         if routine.waits:
-            statements = [*take_budget(place, self.cost, EXHAUSTED), *statements]
+            statements = [*take_or_wait(place, self.cost, EXHAUSTED), *statements]
         if routine.deep:
             leave = statement(place, call(place, "_leave_call", [load(place, "_thread")]))
             statements = [
@@ -192,10 +195,19 @@ class _StatementCompiler(ExpressionCompiler):
 
     def _if(self, node: If) -> list[ast.stmt]:
         place = node.place
-        branches = [(self.condition(test), self._block(body, place)) for test, body in node.branches]
-        made = self._block(node.otherwise, place) if node.otherwise else []
+        branches = [(self.condition(test), self._branch(body, place)) for test, body in node.branches]
+        made = self._branch(node.otherwise, place) if node.otherwise else []
         for test, body in reversed(branches):
             made = [if_(place, test, body, made)]
+        return made
+
+    def _branch(self, block: Block, place: Place) -> list[ast.stmt]:
+        outer, self.cost = self.cost, 0
+        made = self._block(block, place)
+        if self.routine.waits and self.cost > CHEAP_BRANCH:
+            made.insert(0, take(place, self.cost))
+            self.cost = 0
+        self.cost += outer
         return made
 
     def _while(self, node: While) -> ast.stmt:
@@ -203,7 +215,7 @@ class _StatementCompiler(ExpressionCompiler):
         test = self.condition(node.condition)
         body = self._block(node.body, node.place)
         cost, self.cost = self.cost, outer
-        return while_(node.place, test, [*take_budget(node.place, cost, EXHAUSTED), *body])
+        return while_(node.place, test, [*take_or_wait(node.place, cost, EXHAUSTED), *body])
 
     def _simple(self, node: Simple) -> ast.stmt:
         if node.keyword == "break":

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from . import arithmetic
-from .analysis import Analysis, Routine, not_found
+from .analysis import BUILTIN_COST, Analysis, Routine, not_found
 from .budget import BUDGET
 from .builtin import REQUIRED, Table
 from .errors import CompileError
@@ -38,7 +38,6 @@ _OPERATORS: Final = {
     ">": "greater",
     ">=": "greater_or_equal",
 }
-BUILTIN_COST: Final = 30
 _BOOLEAN: Final = frozenset({"==", "!=", "<", "<=", ">", ">=", "and", "or", "xor", "not"})
 
 

@@ -126,7 +126,7 @@ class _TreeBuilder(Transformer[Token, Block]):
         return Index(base.place, base, items)
 
     def field(self, base: Expression, name: Token) -> Field:
-        return Field(_place(name), base, str(name))
+        return Field(_place(name), base, name[1:].strip())
 
     def named(self, name: Token, value: Expression) -> Argument:
         return Argument(_place(name), str(name), value)
@@ -138,7 +138,7 @@ class _TreeBuilder(Transformer[Token, Block]):
         return Call(_place(name), str(name), arguments)
 
     def method(self, base: Expression, name: Token, *arguments: Argument) -> Call:
-        return Call(_place(name), str(name), arguments, base=base)
+        return Call(_place(name), name[1:].strip(), arguments, base=base)
 
     def run(self, keyword: Token, name: Token, *arguments: Argument) -> Call:
         return Call(_place(keyword), str(name), arguments, thread=True)

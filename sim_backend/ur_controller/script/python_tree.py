@@ -77,15 +77,19 @@ def while_(place: Place, test: ast.expr, body: list[ast.stmt]) -> ast.stmt:
     return at(place, ast.While(test=test, body=body, orelse=[]))
 
 
-def take_budget(place: Place, cost: int, signal: int) -> list[ast.stmt]:
+def _left(place: Place, context: ast.expr_context) -> ast.Attribute:
+    return at(place, ast.Attribute(value=load(place, "_budget"), attr="left", ctx=context))
+
+
+def take(place: Place, cost: int) -> ast.stmt:
+    """Take `cost` from the budget."""
+    return at(place, ast.AugAssign(target=_left(place, ast.Store()), op=ast.Sub(), value=constant(place, cost)))
+
+
+def take_or_wait(place: Place, cost: int, signal: int) -> list[ast.stmt]:
     """Take `cost` from the budget, and wait with `signal` if nothing is left."""
-
-    def left(context: ast.expr_context) -> ast.Attribute:
-        return at(place, ast.Attribute(value=load(place, "_budget"), attr="left", ctx=context))
-
-    take = at(place, ast.AugAssign(target=left(ast.Store()), op=ast.Sub(), value=constant(place, cost)))
-    over = at(place, ast.Compare(left=left(ast.Load()), ops=[ast.Lt()], comparators=[constant(place, 0)]))
-    return [take, if_(place, over, [wait(place, signal)])]
+    compare = ast.Compare(left=_left(place, ast.Load()), ops=[ast.Lt()], comparators=[constant(place, 0)])
+    return [take(place, cost), if_(place, at(place, compare), [wait(place, signal)])]
 
 
 def is_name(place: Place, left: str, right: str) -> ast.expr:

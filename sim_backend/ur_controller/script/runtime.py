@@ -21,8 +21,9 @@ from .errors import Halt, ScriptRuntimeError
 from .values import Value, integer
 
 STEP_LIMIT: Final = 10_000
-"""Operations in one tick, all threads together: about a millisecond."""
+"""Operations in one tick, all threads together: half a millisecond, a whole one where most of them are builtins."""
 LEAST_SHARE: Final = 500
+"""Of a thread in a tick, when those before it have used up the limit."""
 MOST_THREADS: Final = 32
 DEEPEST_CALL: Final = 60
 
@@ -88,7 +89,7 @@ class Execution:
         self.state = State.RUNNING
         self.error: ScriptRuntimeError | None = None
         self.current_thread: ScriptThread | None = None
-        self._limit = step_limit
+        self._limit = self._left = step_limit
         self._handles = 0
         names: dict[str, Any] = compiled.names | {
             "_run": self._run,
@@ -105,13 +106,16 @@ class Execution:
         self._first: ScriptThread | None = None
 
     def step(self) -> None:
-        """One tick: every thread goes on until it waits for the next one or has used up its share of the step limit."""
-        share = max(self._limit // max(len(self._threads), 1), LEAST_SHARE)
+        """One tick: every thread goes on until it waits for the next one.
+
+        In its turn a thread may use up what the others before it have left of the step limit, or else `LEAST_SHARE`.
+        """
+        self._left = self._limit
         first, self._first = self._first, None
-        if first is not None and not self._advance(first, share):
+        if first is not None and not self._advance(first):
             return
         for thread in self._threads:  # grows when a thread runs another
-            if thread is not first and not self._advance(thread, share):
+            if thread is not first and not self._advance(thread):
                 return
         if any(not thread.alive for thread in self._threads):
             self._threads = [thread for thread in self._threads if thread.alive]
@@ -124,11 +128,11 @@ class Execution:
         if self.state is State.RUNNING:
             self._end(State.FINISHED)
 
-    def _advance(self, thread: ScriptThread, share: int) -> bool:
+    def _advance(self, thread: ScriptThread) -> bool:
         """Let one thread run; False when no other may in this tick."""
         if self.state is not State.RUNNING:
             return False
-        BUDGET.left = share
+        BUDGET.left = share = max(self._left, LEAST_SHARE)
         self.current_thread = thread
         try:
             exhausted = thread.step() == EXHAUSTED
@@ -148,6 +152,7 @@ class Execution:
         if self.state is not State.RUNNING:
             self._end(self.state)
             return False
+        self._left -= share - BUDGET.left
         if exhausted and thread.critical:
             self._first = thread
             return False

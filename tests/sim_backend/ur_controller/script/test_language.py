@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from sim_backend.ur_controller.script import Pose, Value
+from sim_backend.ur_controller.script import CompileError, Pose, Value
 from tests.sim_backend.ur_controller.script.runs import Run, error, printed, value
 
 
@@ -61,6 +61,7 @@ from tests.sim_backend.ur_controller.script.runs import Run, error, printed, val
         ("[[1,2],[3,4]][1][0]", 3),
         ("p[1,2,3,4,5,6][3]", 4),
         ("struct(a = 1, b = [2, 3]).b[1]", 3),
+        ("struct(x = 4). x", 4),
         ("2147483647 + 1", 2147483648.0),
         ("4 / 2", 2),
     ],
@@ -343,6 +344,12 @@ def test_functions_call_each_other_before_they_are_declared_and_inside_of_others
 
 def test_a_function_of_the_script_hides_a_builtin_and_a_variable_does_not() -> None:
     assert printed("def sin(x): return 5 end length = 2 out(sin(0)) out(length([1, 2, 3]))") == [5, 3]
+
+
+def test_a_field_may_have_the_name_of_a_keyword() -> None:
+    with pytest.raises(CompileError):
+        value("struct(sec = 1)")
+    assert error("s = struct(a = 1)\nout(s.sec)") == (2, 6, "The struct has no field sec, it has a")
 
 
 def test_blocking_functions_have_values_and_take_time() -> None:

@@ -173,6 +173,38 @@ def test_work_in_a_tick_is_bounded_by_the_limit_whatever_it_is_spent_on() -> Non
     assert count(20_000) == pytest.approx(2 * count(10_000), rel=0.05)
 
 
+def test_branches_count_only_when_they_are_taken_and_threads_only_with_what_they_do() -> None:
+    branches = "".join(f"elif x == {i}:\n  {'out(sin(1)) ' * 10}\n" for i in range(1, 70))
+    text = f"""
+    thread idle():
+      while True:
+        sync()
+      end
+    end
+    i = 0
+    while i < 20:
+      run idle()
+      i = i + 1
+    end
+    def choose(x):
+      if x == 0:
+        return
+      {branches}
+      end
+    end
+    while True:
+      sync()
+      out("start")
+      choose(40)
+      out("end")
+    end
+    """
+    run = Run(text).step(5)
+    starts = [tick for tick, what in zip(run.ticks, run.printed, strict=True) if what == "start"]
+    ends = [tick for tick, what in zip(run.ticks, run.printed, strict=True) if what == "end"]
+    assert starts == ends == [2, 3, 4, 5]
+
+
 def test_recursion_without_loops_is_bounded_in_work_and_in_depth() -> None:
     run = Run("def f(n):\n  if n > 0:\n    return f(n - 1) + f(n - 1)\n  end\n  return 1\nend\nout(f(40))").step(3)
     assert run.execution.state is State.RUNNING
