@@ -24,7 +24,8 @@ BUILD_DATE = "Mar 12 2025"
 
 LOG_LINES = 1000
 REPORTS_KEPT = 16
-_LINE_BYTES = 4096  # a peer that sends more without a line's end is no dashboard client
+_LINES_PER_TICK = 16  # of one connection: the tick keeps its time
+_WAITING_BYTES = 1 << 16  # a peer with more on its mind is no dashboard client
 
 _MODEL_NAMES = {1: "UR5", 2: "UR10", 3: "UR3", 4: "UR16", 7: "UR20", 8: "UR30"}
 _STATE_WORDS = {RuntimeState.STOPPED: "STOPPED", RuntimeState.PAUSED: "PAUSED"}
@@ -101,10 +102,24 @@ class DashboardService:
         _reply(connection, BANNER)
 
     def on_data(self, connection: Connection, data: bytes) -> None:
-        """Answer every complete line; the rest waits for its end."""
-        buffer = self._lines[connection]
-        buffer += data
-        *lines, rest = buffer.split(b"\n")
+        """Answer complete lines; the rest waits for its end."""
+        self._lines[connection] += data
+        self._answer_lines(connection)
+        if len(self._lines[connection]) > _WAITING_BYTES:
+            connection.close()
+
+    def on_close(self, connection: Connection) -> None:
+        """Forget the peer."""
+        del self._lines[connection], self._was_remote[connection]
+
+    def publish(self) -> None:
+        """Answer what was too much for the ticks before; nothing is sent unasked."""
+        for connection, waiting in self._lines.items():
+            if waiting:
+                self._answer_lines(connection)
+
+    def _answer_lines(self, connection: Connection) -> None:
+        *lines, rest = self._lines[connection].split(b"\n", _LINES_PER_TICK)
         self._lines[connection] = rest
         for line in lines:
             command = line.decode("utf-8", "replace").strip()
@@ -114,15 +129,6 @@ class DashboardService:
                 return
             if command:
                 _reply(connection, self.answer(command, may_command=self._was_remote[connection] and self._is_remote))
-        if len(rest) > _LINE_BYTES:
-            connection.close()
-
-    def on_close(self, connection: Connection) -> None:
-        """Forget the peer."""
-        del self._lines[connection], self._was_remote[connection]
-
-    def publish(self) -> None:
-        """Nothing is sent unasked."""
 
     def answer(self, command: str, *, may_command: bool = True) -> str:
         """Carry out one command.

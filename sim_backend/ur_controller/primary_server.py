@@ -5,6 +5,7 @@ state alone, the real-time port (30003) one package of doubles per tick.
 """
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal
 
@@ -26,6 +27,8 @@ BUILD_DATE = "12-03-2025, 10:00:00"
 PROTECTIVE_STOP = 160
 """Error code by which a protective stop is reported; which one a robot gives depends on the cause."""
 
+_PROGRAMS_PER_TICK = 2
+_MOST_WAITING = 256
 _SILENT_TICKS = 2  # of a new connection: in between, what it had sent before it was accepted is read
 _STATE_TICKS = round(1.0 / (STATE_HZ * TICK_S))
 _EMERGENCIES = (SafetyMode.SYSTEM_EMERGENCY_STOP, SafetyMode.ROBOT_EMERGENCY_STOP)
@@ -72,6 +75,8 @@ class PrimaryService:
         self._readers: dict[Connection, ProgramReader] = {}
         self._writable: dict[Connection, bool] = {}
         self._silent: dict[Connection, int] = {}
+        self._waiting: deque[tuple[Connection, str]] = deque()
+        self._left = _PROGRAMS_PER_TICK
         self._ticks = 0
         self._commands: dict[str, Callable[[], None]] = {
             "power on": controller.power_on,
@@ -102,19 +107,21 @@ class PrimaryService:
         """Run every program that is complete."""
         try:
             for program in self._readers[connection].feed(data):
-                self._run(connection, program)
+                self._take(connection, program)
         except ProgramTooLongError:
             connection.close()
 
     def on_close(self, connection: Connection) -> None:
         """Run what a client sent last and whole, then forget it."""
         for program in self._readers[connection].finish():
-            self._run(connection, program)
+            self._take(connection, program)
         del self._readers[connection], self._writable[connection]
         self._silent.pop(connection, None)
 
     def publish(self) -> None:
         """Send what is due to those who have read what they got before."""
+        self._left = _PROGRAMS_PER_TICK
+        self._run_waiting()
         for connection, ticks in list(self._silent.items()):
             if ticks > 1:
                 self._silent[connection] = ticks - 1
@@ -145,11 +152,23 @@ class PrimaryService:
     def _is_remote(self) -> bool:
         return self._controller.remote_control or not self._controller.remote_control_enabled
 
-    def _run(self, connection: Connection, program: str) -> None:
+    def _take(self, connection: Connection, program: str) -> None:
+        """Run a program, or let it wait for its turn: the tick keeps its time."""
         if not (self._is_remote and self._writable[connection]):
             text = "The connection is read-only: it was opened, or the robot is, in local control"
             self._complain(connection, ErrorCode(ErrorCode.READ_ONLY, 0, ReportLevel.VIOLATION, text))
-            return
+        elif len(self._waiting) >= _MOST_WAITING:
+            connection.close()
+        else:
+            self._waiting.append((connection, program))
+            self._run_waiting()
+
+    def _run_waiting(self) -> None:
+        while self._waiting and self._left > 0:
+            self._left -= 1
+            self._run(*self._waiting.popleft())
+
+    def _run(self, connection: Connection, program: str) -> None:
         command = self._commands.get(" ".join(program.lower().split()))
         try:
             if command is not None:

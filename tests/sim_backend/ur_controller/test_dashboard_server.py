@@ -287,8 +287,18 @@ def test_quit_says_goodbye_and_closes(terminal: Terminal) -> None:
     assert terminal.read() == b""
 
 
+def test_many_lines_at_once_are_all_answered(dashboard: DashboardService, terminal: Terminal) -> None:
+    terminal.type(b"running\n" * 500)
+
+    answers = b""
+    while len(answers) < 500 * len(b"Program running: false\n"):
+        dashboard.publish()
+        answers += terminal.read()
+    assert answers == b"Program running: false\n" * 500
+
+
 def test_a_line_without_end_closes_the_connection(terminal: Terminal) -> None:
-    terminal.type(b"x" * 10_000)
+    terminal.type(b"x" * 100_000)
 
     assert terminal.read() == b""
 

@@ -104,6 +104,19 @@ def secondary(server: ControllerServer) -> Iterator[Client]:
         yield client
 
 
+def is_closed(peer: socket.socket) -> bool:
+    """Whether the end of what was sent to a peer comes within its patience."""
+    peer.settimeout(5.0)
+    try:
+        while peer.recv(1 << 20):
+            pass
+    except ConnectionResetError:
+        return True
+    except TimeoutError:
+        return False
+    return True
+
+
 def test_a_connection_begins_with_the_version_and_a_whole_state(primary: Client, controller: Controller) -> None:
     version = primary.messages[0]
     configuration = primary.states[0][state.Configuration]
@@ -338,6 +351,19 @@ def test_a_client_that_never_reads_can_still_send(server: ControllerServer, cont
             server.step()
 
         assert controller.runtime_state is safety.RuntimeState.PLAYING
+
+
+def test_a_flood_of_programs_takes_its_turns_and_is_cut_off(server: ControllerServer, primary: Client) -> None:
+    with socket.create_connection((HOST, server.ports.secondary)) as flood:
+        flood.sendall(b"sync()\n" * 200)
+        primary.step(10)
+        assert 0 < len(primary.said(Key)) < 100
+        primary.run(1.0)
+        assert primary.said(Key).count(Key(PROGRAM_STARTED, "unnamed")) == 200
+
+        flood.sendall(b"sync()\n" * 1000)
+        primary.step(10)
+        assert is_closed(flood)
 
 
 def test_a_program_without_end_is_cut_off(server: ControllerServer, primary: Client) -> None:
