@@ -77,8 +77,8 @@ class CellProcesses:
             return
         self.note = "It is being started."
         try:
-            if self._config.cell.driver == "zenoh_sim":
-                await self._start_sim()
+            if self._simulator is not None:
+                await self._start_sim(self._simulator)
             self._spawn("control process", "service", ["run", "--config", str(self._path)])
         except TimeoutError:
             self.note = f"The simulator does not listen at {self._config.sim.endpoint} after {SIM_START_S} s."
@@ -113,14 +113,21 @@ class CellProcesses:
             running = [started for started in running if started.process.returncode is None]
             await asyncio.sleep(POLL_S)
 
-    async def _start_sim(self) -> None:
+    @property
+    def _simulator(self) -> list[str] | None:
+        """Arguments of the simulator that the driver needs; None for a real arm."""
+        sim, ur = self._config.sim, self._config.ur
+        if self._config.cell.driver == "zenoh_sim":
+            return ["serve", "--world", sim.world, "--mode", sim.mode.replace("_", "-"), "--listen", sim.endpoint]
+        if ur is not None and ur.simulated:
+            return ["ur-controller", "--host", ur.host, "--world", sim.world, "--listen", sim.endpoint]
+        return None
+
+    async def _start_sim(self, arguments: list[str]) -> None:
         sim = self._config.sim
         if await _listens(sim.endpoint):
             return
-        mode = sim.mode.replace("_", "-")
-        started = self._spawn(
-            "simulator", "sim_backend", ["serve", "--world", sim.world, "--mode", mode, "--listen", sim.endpoint]
-        )
+        started = self._spawn("simulator", "sim_backend", arguments)
         async with asyncio.timeout(SIM_START_S):
             while not await _listens(sim.endpoint):
                 if (failure := started.failure()) is not None:

@@ -50,7 +50,6 @@ app.add_typer(ur_app, name="ur")
 @app.command()
 def run(config: ConfigPath = None) -> None:
     """Run the control process until SIGTERM or Ctrl-C."""
-    structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
     cell = _load(config)
     driver = _driver(cell)
     try:
@@ -128,6 +127,7 @@ async def _pass_gate(driver: UrDriver) -> str | None:
 
 
 def _load(path: Path | None) -> CellConfig:
+    structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
     try:
         return load(path)
     except ConfigError as error:

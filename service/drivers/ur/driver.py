@@ -188,6 +188,7 @@ class UrDriver:
         if not await self._link.until(is_shown, FRESH_S):
             text = f"{self.name}: no samples, or no camera frames, of the world that was laid out"
             raise DriverError(FaultCode.STALE, text)
+        self._link.resynchronise()  # its clock stood while it laid out
         self._episode = laid_out.episode
 
     # --- what arrives

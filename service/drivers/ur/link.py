@@ -140,6 +140,10 @@ class UrLink:
         await self._client.close()
         self.package = None
 
+    def resynchronise(self) -> None:
+        """Take the next package for one that has just arrived: the controller's clock has stood for a while."""
+        self._arrivals = ArrivalClock()
+
     async def until(self, condition: Callable[[Package], bool], limit_s: float) -> bool:
         """Wait for a package that meets `condition`; return whether one came within `limit_s` of the robot's time.
 

@@ -19,8 +19,8 @@ ROBOT_MODE_RUNNING = 7
 SAFETY_MODE_NORMAL, SAFETY_MODE_PROTECTIVE_STOP = 1, 3
 RUNTIME_STOPPED, RUNTIME_PLAYING = 1, 2
 """UR's numbering (RTDE guide)."""
-DRIFT = 1e-3
-"""Most that the host's and the robot's clock are taken to drift apart, s per s; quartz does a tenth of it."""
+WINDOW_S = 0.5
+"""Of the least delay: it is that of one to two windows."""
 
 Numbers = tuple[float, ...]
 
@@ -130,12 +130,13 @@ class ArrivalClock:
     """When a package would have arrived had nobody been busy: the host's clock, freed of the event loop's delays.
 
     Packages that wait in the socket while the loop is held up are all read at once, and would look fresh. The least
-    delay between the robot's stamp and the host's reading is the link's own; whatever is above it was waiting.
+    delay between the robot's stamp and the host's reading in the last moments is the link's own; whatever is above it
+    was waiting. Only the last moments, because clocks drift, and an emulated controller loses time on a busy host.
     """
 
     def __init__(self) -> None:
-        self._offset_s = float("inf")
-        self._stamp_s = 0.0
+        self._offset_s = self._before_s = float("inf")
+        self._since_s = float("-inf")
 
     def arrival(self, stamp_s: float, read_s: float) -> float:
         """Arrival on the host's clock, never later than `read_s`.
@@ -144,10 +145,11 @@ class ArrivalClock:
             stamp_s: the robot's.
             read_s: when the host read the package.
         """
-        grown_s = self._offset_s + DRIFT * max(0.0, stamp_s - self._stamp_s)
-        self._offset_s = min(grown_s, read_s - stamp_s)
-        self._stamp_s = stamp_s
-        return stamp_s + self._offset_s
+        if read_s - self._since_s > WINDOW_S:
+            self._before_s, self._offset_s = self._offset_s, float("inf")
+            self._since_s = read_s
+        self._offset_s = min(self._offset_s, read_s - stamp_s)
+        return stamp_s + min(self._offset_s, self._before_s)
 
 
 class SampleReader:

@@ -148,4 +148,15 @@ def test_an_arrival_is_never_later_than_its_reading_and_follows_a_drifting_clock
         stamp_s = tick * 0.002
         read_s = 5.0 + stamp_s * (1.0 + 100e-6)
         arrival_s = clock.arrival(stamp_s, read_s)
-        assert read_s - 1e-6 <= arrival_s <= read_s
+        assert read_s - 2e-4 <= arrival_s <= read_s
+
+
+def test_a_controller_whose_clock_stood_is_late_for_a_moment_only() -> None:
+    clock = ArrivalClock()
+    ages = [
+        read_s - clock.arrival(tick * 0.002, read_s)
+        for tick in range(2000)
+        for read_s in [5.0 + tick * 0.002 + (0.1 if tick >= 1000 else 0.0)]
+    ]
+    assert ages[1000] == pytest.approx(0.1)
+    assert max(ages[1000 + 600 :]) == pytest.approx(0.0, abs=1e-9)
