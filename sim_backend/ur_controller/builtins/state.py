@@ -5,7 +5,7 @@ from collections.abc import Callable, Generator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from sim_backend.protocol.wire import TICK_S
-from sim_backend.ur_controller.builtins.strings import STRINGS
+from sim_backend.ur_controller.builtins.strings import text_of
 from sim_backend.ur_controller.events import Popup, Text
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Struct
 from sim_backend.ur_controller.script.values import Value, integer, number, pose, text, truth, vector
@@ -20,7 +20,6 @@ _KEPT: list[float] = []
 def state_builtins(controller: "Controller") -> dict[str, Builtin]:
     """Builtins on the state and the configuration of `controller`."""
     plant = controller.plant
-    as_text = STRINGS["to_str"].call
 
     def get_actual_tcp_pose() -> Pose:
         return Pose(plant.tcp_pose())
@@ -128,13 +127,13 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
         controller.use_external_sensor(lever if truth(enable, "enable") else None)
 
     def textmsg(s1: Value, s2: Value = "") -> None:
-        controller.emit(Text(as_text(s1) + as_text(s2)))
+        controller.emit(Text(text_of(s1) + text_of(s2)))
 
     def popup(
         s: Value, title: Value = "Popup", warning: Value = False, error: Value = False, blocking: Value = False
     ) -> Generator[None, None, None]:
         waits = truth(blocking, "blocking")
-        message = Popup(as_text(s), text(title, "title"), truth(warning, "warning"), truth(error, "error"), waits)
+        message = Popup(text_of(s), text(title, "title"), truth(warning, "warning"), truth(error, "error"), waits)
         controller.show(message)
         while waits and controller.popup is message:
             yield
