@@ -1,0 +1,129 @@
+"""The camera and the stage over Zenoh, against an emulated controller's surroundings."""
+
+import asyncio
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import zenoh
+
+from service.drivers.base import DriverError, Setup
+from service.drivers.camera import ZenohCamera
+from service.drivers.stage import ZenohStage
+from service.faults import FaultCode
+from service.transport import close_session, open_session
+from sim_backend.protocol import keys, wire
+from tests.service.sim_server import free_endpoint
+
+KEY = keys.CAMERA.format(world="w")
+SETUP = Setup(7, "tr", 2e-3, "easy")
+
+
+@contextmanager
+def listening(endpoint: str) -> Iterator[zenoh.Session]:
+    session = open_session(listen=[endpoint])
+    try:
+        yield session
+    finally:
+        close_session(session)
+
+
+def frame(position: tuple[float, float, float], episode: int = 4) -> bytes:
+    record = wire.new(wire.CAMERA, wire.Kind.CAMERA)
+    record[0]["episode"], record[0]["position"], record[0]["time_s"] = episode, position, 61.5
+    return record.tobytes()
+
+
+async def publish_until(session: zenoh.Session, payload: bytes, condition: Callable[[], bool]) -> None:
+    async with asyncio.timeout(10.0):
+        while not condition():
+            session.put(KEY, payload)
+            await asyncio.sleep(0.02)
+
+
+async def test_the_newest_estimate_counts_until_it_is_too_old() -> None:
+    endpoint = free_endpoint()
+    now = 100.0
+    camera = ZenohCamera(endpoint, KEY, 0.2, lambda: now)
+    assert camera.estimate(now) is None
+    with listening(endpoint) as session:
+        await camera.open()
+        try:
+            await publish_until(session, frame((0.3, -0.1, 0.08)), lambda: camera.estimate(now) is not None)
+            assert camera.estimate(now) == pytest.approx([0.3, -0.1, 0.08])
+            assert camera.episode == 4
+            assert camera.estimate(now + 0.19) is not None
+            assert camera.estimate(now + 0.21) is None
+            now = 101.0
+            newer = frame((0.31, -0.1, 0.08), episode=5)
+            await publish_until(session, newer, lambda: camera.episode == 5)
+            assert camera.estimate(now) == pytest.approx([0.31, -0.1, 0.08])
+        finally:
+            await camera.close()
+
+
+async def test_a_frame_that_is_no_number_is_no_estimate_and_one_that_cannot_be_read_is_ignored() -> None:
+    endpoint = free_endpoint()
+    camera = ZenohCamera(endpoint, KEY, 0.2, lambda: 0.0)
+    with listening(endpoint) as session:
+        await camera.open()
+        try:
+            await publish_until(session, frame((0.3, -0.1, 0.08)), lambda: camera.estimate(0.0) is not None)
+            for _ in range(5):
+                session.put(KEY, b"not a frame")
+            await asyncio.sleep(0.1)
+            assert camera.estimate(0.0) == pytest.approx([0.3, -0.1, 0.08])
+            await publish_until(session, frame((np.nan, 0.0, 0.0)), lambda: camera.estimate(0.0) is None)
+        finally:
+            await camera.close()
+
+
+async def laid_out_by(answer: Callable[[zenoh.Query], None]) -> object:
+    endpoint = free_endpoint()
+    with listening(endpoint) as session:
+        session.declare_queryable(keys.RESET.format(world="w"), answer)
+        stage = ZenohStage("w", [endpoint])
+        await stage.open()
+        try:
+            for _ in range(50):
+                try:
+                    return await stage.lay_out(SETUP)
+                except DriverError as error:
+                    if error.code is not FaultCode.LINK:
+                        raise
+                    await asyncio.sleep(0.02)
+        finally:
+            await stage.close()
+    raise AssertionError("nobody answered")
+
+
+async def test_a_world_is_laid_out_as_the_run_wants_it() -> None:
+    asked = []
+
+    def answer(query: zenoh.Query) -> None:
+        asked.append(query.payload.to_string())
+        query.reply(query.key_expr, frame((0.3, -0.1, 0.08), episode=9))
+
+    laid_out = await laid_out_by(answer)
+    assert (laid_out.episode, laid_out.time_s) == (9, 61.5)
+    assert '"seed": 7' in asked[0]
+    assert '"conditions": "easy"' in asked[0]
+
+
+@pytest.mark.parametrize(
+    ("answer", "text"),
+    [
+        (lambda query: query.reply_err(b"no such part"), "no such part"),
+        (lambda query: query.reply(query.key_expr, b"nonsense"), "bytes"),
+    ],
+)
+async def test_a_world_that_is_refused_or_answers_nonsense_is_a_driver_error(answer, text: str) -> None:
+    with pytest.raises(DriverError, match=text) as refused:
+        await laid_out_by(answer)
+    assert refused.value.code is FaultCode.PROTOCOL
+
+
+async def test_a_stage_that_was_not_opened_says_so() -> None:
+    with pytest.raises(DriverError, match="not connected"):
+        await ZenohStage("w", ["tcp/127.0.0.1:1"]).lay_out(SETUP)
