@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from types import CodeType
 from typing import Any, Final, Literal
 
-from .analysis import Analysis, Routine
+from .analysis import BUILTIN_COST, Analysis, Routine
 from .budget import EXHAUSTED
 from .builtin import Builtin, Table
 from .errors import CompileError
@@ -165,6 +165,7 @@ class _StatementCompiler(ExpressionCompiler):
                 return [self._simple(node)]
             case OnThread():
                 handle = self.expression(node.handle)
+                self.cost += BUILTIN_COST
                 if node.keyword == "kill":
                     return [statement(place, call(place, "_kill", [handle]))]
                 runs = call(place, "_runs", [load(place, "_t")])

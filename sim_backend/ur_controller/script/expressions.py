@@ -189,6 +189,7 @@ class ExpressionCompiler:
         arguments = [load(place, "_missing") if argument is None else argument for argument in bound]
         called = call(place, python_name(routine), arguments)
         if node.thread:
+            self.cost += BUILTIN_COST
             return call(place, "_run", [constant(place, node.name), called])
         if routine.waits:
             return wait_for(place, called)

@@ -24,7 +24,8 @@ STEP_LIMIT: Final = 10_000
 """Operations in one tick, all threads together: half a millisecond, a whole one where most of them are builtins."""
 LEAST_SHARE: Final = 500
 """Of a thread in a tick, when those before it have used up the limit."""
-MOST_THREADS: Final = 32
+MOST_THREADS: Final = 50
+"""Of a program, those included that have ended in the same tick."""
 DEEPEST_CALL: Final = 60
 
 Code: TypeAlias = Generator[int | None, None, Value]
@@ -110,6 +111,8 @@ class Execution:
 
         In its turn a thread may use up what the others before it have left of the step limit, or else `LEAST_SHARE`.
         """
+        if not all(thread.alive for thread in self._threads):
+            self._threads = [thread for thread in self._threads if thread.alive]
         self._left = self._limit
         first, self._first = self._first, None
         if first is not None and not self._advance(first):
@@ -117,8 +120,6 @@ class Execution:
         for thread in self._threads:  # grows when a thread runs another
             if thread is not first and not self._advance(thread):
                 return
-        if any(not thread.alive for thread in self._threads):
-            self._threads = [thread for thread in self._threads if thread.alive]
 
     def kill(self) -> None:
         """End the run at once: FINISHED, unless it has failed.
@@ -134,20 +135,18 @@ class Execution:
             return False
         BUDGET.left = share = max(self._left, LEAST_SHARE)
         self.current_thread = thread
+        exhausted = False
         try:
             exhausted = thread.step() == EXHAUSTED
         except (StopIteration, _Killed):
             thread.close()
             if thread.handle == 0:
                 self._end(State.FINISHED)
-            exhausted = False
         except Halt:
             self._end(State.FINISHED)
-            exhausted = False
         except Exception as error:  # a builtin's own mistake too must not take the controller down
             self.error = _runtime_error(error, thread.name)
             self._end(State.FAILED)
-            exhausted = False
         self.current_thread = None
         if self.state is not State.RUNNING:
             self._end(self.state)
@@ -170,7 +169,7 @@ class Execution:
     # what the compiled code calls
 
     def _run(self, name: str, code: Code) -> int:
-        if sum(thread.alive for thread in self._threads) >= MOST_THREADS:
+        if len(self._threads) >= MOST_THREADS:
             raise ScriptRuntimeError(f"A program can have {MOST_THREADS} threads")
         self._handles += 1
         self._threads.append(ScriptThread(self._handles, name, code, self.current_thread))

@@ -77,6 +77,20 @@ def test_values_are_bounded_in_size_and_depth(text: str) -> None:
     assert peak < 20e6
 
 
+def test_threads_that_have_ended_leave_nothing_behind() -> None:
+    text = "thread t():\n  sync()\nend\nenter_critical\nwhile True:\n  kill run t()\n{}end"
+    assert "threads" in error(text.format(""))[2]
+    run = Run(text.format("  sync()\n")).step(20)
+    tracemalloc.start()
+    try:
+        run.step(200)
+        size, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert run.execution.state is State.RUNNING
+    assert size < 1e6
+
+
 def test_a_list_can_be_as_long_as_its_bound_and_no_longer() -> None:
     text = "n = 0\nl = []\nwhile True:\n  l.append(n)\n  n = n + 1\nend"
     assert error(text, 1000)[2] == "A list cannot have more than 4096 elements"
