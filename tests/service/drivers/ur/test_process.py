@@ -1,0 +1,179 @@
+"""In real time, each in its own process: an emulated controller, its control process, the operator's commands."""
+
+import asyncio
+import os
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from service.client import CellClient
+from service.drivers.ur.rtde import RtdeClient
+from service.drivers.ur.samples import RUNTIME_PLAYING
+from service.messages import CellState, StartRequest
+from tests.service.drivers.ur.cells import UR
+from tests.service.sim_server import free_endpoint
+
+ROOT = Path(__file__).parents[4]
+HOST = UR["host"]
+WORLD = "emulated"
+LIMITS = """
+sample_age_s = 0.4
+target_age_s = 0.9
+policy_deadline_s = 0.5
+"""
+"""What a loaded test machine does to its clock is not what these tests are about."""
+
+
+class Robot(NamedTuple):
+    ports: dict[str, int]
+    endpoint: str
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[Robot]:
+    endpoint = free_endpoint()
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "sim_backend", "ur-controller", "--host", HOST, "--any-ports"),
+            *("--world", WORLD, "--listen", endpoint),
+        ],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    try:
+        line = process.stdout.readline()
+        assert line.startswith("ready"), line
+        said = dict(part.split("=", 1) for part in line.split()[1:])
+        yield Robot({name: int(said[name]) for name in ("rtde", "dashboard", "primary")}, endpoint)
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+@pytest.fixture
+def config(robot: Robot, tmp_path: Path) -> Path:
+    text = (ROOT / "config/ur-emulated.toml").read_text()
+    for old, new in {
+        "tcp/127.0.0.1:7447": free_endpoint(),
+        "tcp/127.0.0.1:7448": robot.endpoint,
+        "world-1": WORLD,
+        'host = "127.0.0.1"\nsimulated': "\n".join(
+            [
+                f'host = "{HOST}"',
+                *(f"{name}_port = {port}" for name, port in robot.ports.items()),
+                "watchdog_hz = 4.0\nsimulated",
+            ]
+        ),
+        "../var/cell-ur": str(tmp_path / "state"),
+        "../models": str(ROOT / "models"),
+        "sample_age_s = 0.08": LIMITS,
+    }.items():
+        assert old in text, old
+        text = text.replace(old, new)
+    path = tmp_path / "cell.toml"
+    path.write_text(text)
+    return path
+
+
+def service(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "service", *arguments],
+        cwd=ROOT,
+        env=os.environ | {"COLUMNS": "200"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_an_operator_checks_switches_off_and_on_again(config: Path) -> None:
+    checked = service("ur", "check", "--config", str(config))
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    assert checked.stdout.count("passed") == 11
+    assert service("ur", "power-off", "--config", str(config)).returncode == 0
+    checked = service("ur", "check", "--config", str(config))
+    assert checked.returncode == 1
+    assert "POWER_OFF" in checked.stdout
+    assert "power-on" in checked.stdout
+    unlocked = service("ur", "unlock", "--config", str(config))
+    assert unlocked.returncode == 1
+    assert "no protective stop" in unlocked.stderr
+    assert service("ur", "power-on", "--config", str(config)).returncode == 0
+
+
+def test_the_operator_s_commands_of_a_cell_without_a_ur_arm_say_so() -> None:
+    refused = service("ur", "check", "--config", str(ROOT / "config/cell.toml"))
+    assert refused.returncode == 2
+    assert "cell.driver" in refused.stderr
+
+
+@asynccontextmanager
+async def control_process(config: Path) -> AsyncIterator[tuple[subprocess.Popen[bytes], CellClient]]:
+    endpoint = next(line.split('"')[1] for line in config.read_text().splitlines() if line.startswith("endpoint"))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "service", "run", "--config", str(config)], cwd=ROOT, stderr=subprocess.DEVNULL
+    )
+    try:
+        async with CellClient("cell-ur", [endpoint]) as client:
+            yield process, client
+    finally:
+        process.kill()
+        process.wait()
+
+
+class Reading(NamedTuple):
+    time_s: float
+    qd: tuple[float, ...]
+    force: tuple[float, ...]
+    runtime_state: int
+
+    @property
+    def force_n(self) -> float:
+        return sum(component**2 for component in self.force[:3]) ** 0.5
+
+
+async def test_a_control_process_that_is_killed_while_it_pushes_leaves_an_arm_that_stands(
+    config: Path, robot: Robot
+) -> None:
+    """Only the controller is left to stop the arm: its watchdog, whose period is a quarter of a second here."""
+    readings: list[Reading] = []
+    onlooker = RtdeClient(
+        HOST,
+        robot.ports["rtde"],
+        clock=asyncio.get_running_loop().time,
+        on_package=lambda values, arrival_s: readings.append(Reading._make(values)),
+        on_lost=lambda error: None,
+    )
+    await onlooker.connect()
+    await onlooker.setup(["timestamp", "actual_qd", "actual_TCP_force", "runtime_state"], 500.0)
+    await onlooker.start()
+
+    async def until(condition) -> None:
+        async with asyncio.timeout(60.0):
+            while not condition():
+                await asyncio.sleep(0.002)
+
+    async with control_process(config) as (process, client):
+        await until(lambda: client.state is CellState.READY)
+        await client.start(StartRequest(recipe="triangle-2mm", seed=5))
+        await until(lambda: client.state is CellState.RUNNING)
+        await until(lambda: readings[-1].force_n > 5.0)
+        assert readings[-1].runtime_state == RUNTIME_PLAYING
+        process.kill()
+        killed_s = readings[-1].time_s
+        await until(lambda: readings[-1].time_s > killed_s + 1.5)
+    await onlooker.close()
+    after = [reading for reading in readings if reading.time_s >= killed_s]
+    ended_s = next(reading.time_s for reading in after if reading.runtime_state != RUNTIME_PLAYING)
+    assert ended_s - killed_s < 0.25 + 0.5, "the watchdog's period, and what the onlooker may be late by"
+    assert max(abs(speed) for reading in after if reading.time_s > ended_s + 0.3 for speed in reading.qd) < 2e-3
+    assert max(reading.force_n for reading in after) < 30.0, "the ceiling"
