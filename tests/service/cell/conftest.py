@@ -1,5 +1,5 @@
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from service.cell.inference import InlineInference
-from service.config import ClientLossSection
+from service.config import CellConfig, ClientLossSection
 from service.drivers.base import Driver
 from service.faults import FaultCode
 from service.messages import CellState, Run
-from service.testing import Bench, cell_config, lockstep_cell
+from service.testing import Bench, SimulatedCellFactory, cell_config, lockstep_cell
 from tests.service.cell import policies
 from tests.service.cell.faulty_driver import FaultyDriver, speed
+from tests.service.drivers.ur.emulated import lockstep_ur_cell, ur_cell_config
 
 EASY = 1872
 """A seed of the easy conditions whose hole is where the camera says and turned by next to nothing."""
@@ -64,8 +65,35 @@ class FaultyBench:
 FaultyCell = Callable[..., Any]
 
 
+@dataclass(frozen=True)
+class Arm:
+    """What stands behind the driver: the same world, reached in another way."""
+
+    config: Callable[..., CellConfig]
+    cell: Callable[..., AbstractAsyncContextManager[Bench]]
+
+
+ARMS = {"simulated": Arm(cell_config, lockstep_cell), "ur": Arm(ur_cell_config, lockstep_ur_cell)}
+
+
+@pytest.fixture(params=ARMS)
+def arm(request: pytest.FixtureRequest) -> Arm:
+    """Every test of the cell runs on each arm."""
+    return ARMS[request.param]
+
+
 @pytest.fixture
-def faulty_cell(tmp_path: Path) -> FaultyCell:
+def simulated_cell(arm: Arm, tmp_path: Path) -> SimulatedCellFactory:
+    """`service.testing.simulated_cell`, on each arm."""
+
+    def make(policy: Path, *, limits: dict[str, Any] | None = None, **recipe: Any) -> Any:
+        return arm.cell(arm.config(tmp_path / "state", policy, limits, **recipe))
+
+    return make
+
+
+@pytest.fixture
+def faulty_cell(arm: Arm, tmp_path: Path) -> FaultyCell:
     """Cells whose driver can be spoilt: `async with faulty_cell() as faulty`."""
 
     @asynccontextmanager
@@ -86,10 +114,10 @@ def faulty_cell(tmp_path: Path) -> FaultyCell:
             return faulty
 
         recipe.setdefault("conditions", "easy")
-        config = cell_config(tmp_path / "state", policy or policies.straight(tmp_path), limits, **recipe)
+        config = arm.config(tmp_path / "state", policy or policies.straight(tmp_path), limits, **recipe)
         if client_loss is not None:
             config = config.model_copy(update={"client_loss": client_loss})
-        async with lockstep_cell(config, wrap=wrap, inference=inference) as bench:
+        async with arm.cell(config, wrap=wrap, inference=inference) as bench:
             # Only now: the cell's own watch would go by the host's time, which here is not the arm's
             drivers[0].real_time = real_time
             yield FaultyBench(bench, drivers[0], tmp_path / "state")

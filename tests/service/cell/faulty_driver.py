@@ -9,6 +9,7 @@ from service.cell.cell import Cell
 from service.drivers.base import ComplianceLaw, Driver, Limits, PoseTarget, Sample, SampleSink, Setup
 from service.faults import FaultCode
 
+AGAIN_TICKS = 50
 Spoil = Callable[[Sample], Sequence[Sample]]
 
 
@@ -25,7 +26,7 @@ class FaultyDriver:
 
     Attributes:
         spoil: makes of one true sample what the cell gets: none, one or several.
-        deaf_to_stop: the arm goes on moving whatever the cell says.
+        deaf_to_stop: the arm stays engaged whatever the cell says; its last target is sent again and again.
         real_time: time passes for the cell whether or not samples come; it is watched once per true sample.
         orders: that the cell gave.
         truth: the newest true sample.
@@ -36,6 +37,7 @@ class FaultyDriver:
         self._sink: SampleSink | None = None
         self.spoil: Spoil = lambda sample: [sample]
         self.deaf_to_stop = False
+        self._target: PoseTarget | None = None
         self.real_time = False
         self.orders: list[Order] = []
         self.truth: Sample | None = None
@@ -58,6 +60,8 @@ class FaultyDriver:
 
     def on_sample(self, sample: Sample) -> None:
         self.truth = sample
+        if self.deaf_to_stop and self._target is not None and sample.seq % AGAIN_TICKS == 0:
+            self._driver.send_target(self._target)
         if self._sink is not None:
             for spoilt in self.spoil(sample):
                 self._sink.on_sample(spoilt)
@@ -73,12 +77,11 @@ class FaultyDriver:
 
     def engage(self, law: ComplianceLaw, limits: Limits) -> None:
         self._note("engage")
-        if self.deaf_to_stop:  # a robot-side ceiling or watchdog would stop it after all
-            limits = replace(limits, force_ceiling_n=100.0, target_age_s=10.0)
         self._driver.engage(law, limits)
 
     def send_target(self, target: PoseTarget) -> int:
         self._note("target")
+        self._target = target
         return self._driver.send_target(target)
 
     def stop(self) -> None:
