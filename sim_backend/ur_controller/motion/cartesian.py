@@ -23,6 +23,10 @@ TURN_RADIUS_M = 0.25
 """A turn counts as the path of a point this far from the TCP; the manual gives tool speeds in m/s only."""
 
 
+FASTEST = (3.0, 15.0)
+"""m/s and m/s² above which no path is travelled. An assumption: how fast an arm can go depends on its pose."""
+
+
 class PathMover(ToolMover):
     """Along a path of the TCP by a trapezoid, from rest or out of the last such move's end.
 
@@ -45,11 +49,13 @@ class PathMover(ToolMover):
         """At a share of the path, 0 … 1: position and rotation, and their rates of change per share, base axes."""
 
     def step(self, fraction: float) -> ToolState:
+        if self._tail is not None and self._tail.done:
+            self._tail = None
         course, tail = self._course, self._tail
         share, rate = course.step(fraction)
         self.ready = course.blending
-        if course.arrived and tail is None:
-            self.done = True
+        self.done = course.arrived and tail is None
+        if self.done:
             return *self.end, [0.0] * 6
         (x, y, z), rotation, (dx, dy, dz), (rx, ry, rz) = self.at(share)
         twist = [rate * dx, rate * dy, rate * dz, rate * rx, rate * ry, rate * rz]
@@ -59,13 +65,17 @@ class PathMover(ToolMover):
         (end_x, end_y, end_z), end_rotation = tail.end
         remaining = multiply(tail_rotation, transpose(end_rotation))
         turned = [*rotate(remaining, twist[3:])]
-        if tail.done:
-            self._tail = None
         return (
             (x + tail_x - end_x, y + tail_y - end_y, z + tail_z - end_z),
             multiply(remaining, rotation),
             [a + b for a, b in zip(twist[:3] + turned, tail_twist, strict=True)],
         )
+
+    def rewind(self) -> None:
+        """Take the last step back."""
+        self._course.rewind()
+        if self._tail is not None:
+            self._tail.rewind()
 
 
 class Line(PathMover):
@@ -93,7 +103,7 @@ class Line(PathMover):
         distance = math.hypot(*self._way)
         length = max(distance, TURN_RADIUS_M * math.hypot(*self._turn))
         far = 1.0 - blend_m / distance if blend_m < distance else 0.0
-        super().__init__(Trapezoid(length, *limits), length * far if blend_m > 0.0 else length, end, tail)
+        super().__init__(Trapezoid(length, *limits, FASTEST), length * far if blend_m > 0.0 else length, end, tail)
 
     def at(self, share: float) -> tuple[Vector, Rotation, Vector, Vector]:
         (x, y, z), (dx, dy, dz), (rx, ry, rz) = self._start, self._way, self._turn
@@ -154,7 +164,7 @@ class Arc(PathMover):
         arc = angle * math.hypot(*self._arm)
         length = max(arc, TURN_RADIUS_M * math.hypot(*self._turn))
         from_ = length * max(0.0, 1.0 - blend_m / arc)
-        super().__init__(Trapezoid(length, *limits), from_, (stop, rotation), tail)
+        super().__init__(Trapezoid(length, *limits, 0.0, FASTEST), from_, (stop, rotation), tail)
 
     def at(self, share: float) -> tuple[Vector, Rotation, Vector, Vector]:
         (sx, sy, sz), (rx, ry, rz) = self._sweep, self._turn

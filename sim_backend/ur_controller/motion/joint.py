@@ -12,14 +12,17 @@ from .profile import Trapezoid
 
 _JOINTS = range(6)
 _SPEED: tuple[float, ...] = tuple(JOINT_SPEED_RAD_S.tolist())
+JOINT_RAD_S2 = 40.0
+"""Largest acceleration of a joint in a move: the 2292 °/s² at which the pendant's settings end."""
+
 _HALVINGS = 12
 _SETTLED_RAD, _SETTLED_RAD_S = 1e-6, 1e-5
 
 
-def leading_speed(path: Sequence[float], speed: float) -> float:
-    """`speed` of the leading axis of a straight joint path (6,), lowered so that no joint turns faster than it can."""
+def top_speed(path: Sequence[float]) -> float:
+    """Speed of the leading axis of a straight joint path (6,) at which some joint turns as fast as it can, rad/s."""
     length = max(abs(d) for d in path)
-    return min([speed, *(limit * length / abs(d) for limit, d in zip(_SPEED, path, strict=True) if d)])
+    return min((limit * length / abs(d) for limit, d in zip(_SPEED, path, strict=True) if d), default=math.inf)
 
 
 def blend_share(start: Sequence[float], target: Sequence[float], radius_m: float, plant: Plant) -> float:

@@ -15,7 +15,7 @@ from .cartesian import Arc, Line, PathMover, ServoC, SpeedL, standing
 from .contact import ContactMemory
 from .force import DEFAULT_DAMPING, DEFAULT_GAIN, ForceMode
 from .inverse import inverse
-from .joint import MoveJ, ServoJ, SpeedJ, blend_share, leading_speed
+from .joint import JOINT_RAD_S2, MoveJ, ServoJ, SpeedJ, blend_share, top_speed
 from .mover import JointMover, Mover, ToolMover
 from .profile import Trapezoid
 from .target import CannotMove, JointTarget
@@ -175,7 +175,7 @@ class Motion:
             start = self._target.q if tail is None else tail.target
             path = [goal - here for here, goal in zip(start, target, strict=True)]
             length = max(abs(d) for d in path)
-            profile = Trapezoid(length, leading_speed(path, v) if length else v, a, t)
+            profile = Trapezoid(length, v, a, t, (top_speed(path), JOINT_RAD_S2))
             return MoveJ(start, target, profile, length * blend_share(start, target, r, self._plant), tail)
 
         mover = self._mover
@@ -358,6 +358,13 @@ class Motion:
             self._displace(mover)
         elif isinstance(mover, JointMover):
             target.set_joints(*mover.step(self.speed_fraction))
+        elif isinstance(mover, PathMover):
+            position, rotation, twist = mover.step(self.speed_fraction)
+            share = target.share_possible(position, rotation)
+            if share < 1.0:  # a path is slowed down to what the joints can do, a speed is not
+                mover.rewind()
+                position, rotation, twist = mover.step(share * self.speed_fraction)
+            target.set_tool(position, rotation, twist)
         elif isinstance(mover, ToolMover):
             target.set_tool(*mover.step(self.speed_fraction))
 

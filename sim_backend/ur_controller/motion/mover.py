@@ -73,22 +73,28 @@ class Course:
         blend_from: distance at which the script may go on, to blend into the next move.
     """
 
-    __slots__ = ("_blend_from", "_profile", "_time_s", "arrived", "blending")
+    __slots__ = ("_before_s", "_blend_from", "_profile", "_time_s", "arrived", "blending")
 
     def __init__(self, profile: Trapezoid, blend_from: float) -> None:
         self._profile = profile
         self._blend_from = max(blend_from, profile.braking_from)
-        self._time_s = 0.0
+        self._time_s = self._before_s = 0.0
         self.arrived = False
         self.blending = False
 
     def step(self, fraction: float) -> tuple[float, float]:
         """Share of the path travelled, 0 … 1, and its rate of change per second, one tick on."""
+        self._before_s = self._time_s
         self._time_s += TICK_S * fraction
         profile = self._profile
+        self.arrived = self.blending = False
         if self._time_s >= profile.duration_s - _ROUNDING_S:
             self.arrived = self.blending = True
             return 1.0, 0.0
         distance, speed = profile.at(self._time_s)
         self.blending = distance >= self._blend_from
         return distance / profile.length, speed * fraction / profile.length
+
+    def rewind(self) -> None:
+        """Take the last step back."""
+        self._time_s = self._before_s

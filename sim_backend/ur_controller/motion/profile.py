@@ -16,6 +16,7 @@ class Trapezoid:
         speed: at which it is travelled if it is long enough.
         acceleration: of both ramps.
         duration_s: when positive, takes precedence over speed and acceleration.
+        fastest: speed and acceleration that are never exceeded, whatever is asked for.
 
     Attributes:
         length: as given.
@@ -25,22 +26,25 @@ class Trapezoid:
 
     __slots__ = ("_acceleration", "_ramp_s", "_speed", "braking_from", "duration_s", "length")
 
-    def __init__(self, length: float, speed: float, acceleration: float, duration_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        length: float,
+        speed: float,
+        acceleration: float,
+        duration_s: float = 0.0,
+        fastest: tuple[float, float] = (math.inf, math.inf),
+    ) -> None:
         self.length = length
         if length < _NOWHERE:
             self.duration_s = self._ramp_s = self._speed = self._acceleration = 0.0
             self.braking_from = length
             return
         if duration_s > 0.0:
-            self.duration_s = duration_s
-            self._ramp_s = _RAMP_SHARE * duration_s
-            self._speed = length / (duration_s - self._ramp_s)
-            self._acceleration = self._speed / self._ramp_s
-        else:
-            self._acceleration = acceleration
-            self._speed = min(speed, math.sqrt(length * acceleration))
-            self._ramp_s = self._speed / acceleration
-            self.duration_s = self._ramp_s + length / self._speed
+            speed, acceleration = _in_time(length, duration_s, *fastest)
+        self._acceleration = min(acceleration, fastest[1])
+        self._speed = min(speed, fastest[0], math.sqrt(length * self._acceleration))
+        self._ramp_s = self._speed / self._acceleration
+        self.duration_s = self._ramp_s + length / self._speed
         self.braking_from = length - 0.5 * self._speed * self._ramp_s
 
     def at(self, time_s: float) -> tuple[float, float]:
@@ -53,3 +57,18 @@ class Trapezoid:
         if left_s < self._ramp_s:
             return self.length - 0.5 * self._acceleration * left_s * left_s, self._acceleration * left_s
         return self._speed * (time_s - 0.5 * self._ramp_s), self._speed
+
+
+def _in_time(length: float, duration_s: float, top_speed: float, top_acceleration: float) -> tuple[float, float]:
+    """Speed and acceleration of a move that lasts for a time; beyond the top ones where it cannot be done in time."""
+    speed = length / ((1.0 - _RAMP_SHARE) * duration_s)
+    if speed > top_speed:
+        speed = top_speed
+        ramp_s = duration_s - length / speed
+        return speed, speed / ramp_s if ramp_s > 0.0 else math.inf
+    acceleration = speed / (_RAMP_SHARE * duration_s)
+    if acceleration > top_acceleration:
+        acceleration = top_acceleration
+        room = (acceleration * duration_s) ** 2 - 4.0 * acceleration * length
+        speed = 0.5 * (acceleration * duration_s - math.sqrt(room)) if room > 0.0 else math.inf
+    return speed, acceleration

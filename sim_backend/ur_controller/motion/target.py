@@ -1,5 +1,6 @@
 """The joint target of one arm, and the TCP that belongs to it."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,12 +21,14 @@ from sim_backend.ur_controller.geometry import (
 from sim_backend.ur_controller.plant import Plant
 
 from .differential import joint_rates, tool_twist
+from .joint import JOINT_RAD_S2
 
 Array = npt.NDArray[np.float64]
 
 _JOINTS = range(6)
 _RANGE: tuple[float, ...] = tuple(JOINT_RANGE_RAD.tolist())
 _SPEED: tuple[float, ...] = tuple(JOINT_SPEED_RAD_S.tolist())
+_CAUTION = 0.95
 _ROUNDING_RAD_S = 1e-9
 _REST = np.zeros(6)
 _REST.setflags(write=False)
@@ -124,6 +127,30 @@ class JointTarget:
         Raises:
             CannotMove: the arm is too near to a singularity, or a joint would have to be too fast or leave its range.
         """
+        rates = self._rates_to(position, rotation)
+        for i in _JOINTS:
+            if abs(rates[i]) > _SPEED[i]:
+                raise CannotMove(f"joint {i + 1} would have to turn faster than it can")
+        self._set([a + TICK_S * v for a, v in zip(self.q, rates, strict=True)], rates)
+        self._tool = position, rotation
+        self._twist = twist
+
+    def share_possible(self, position: Vector, rotation: Rotation) -> float:
+        """Share, up to 1, of the way to a position and rotation of the TCP that the joints can go in one tick.
+
+        Raises:
+            CannotMove: the arm is too near to a singularity.
+        """
+        share = 1.0
+        for rate, last, limit in zip(self._rates_to(position, rotation), self.qd, _SPEED, strict=True):
+            size = abs(rate)
+            most = min(_CAUTION * limit, max(math.copysign(1.0, rate) * last, 0.0) + JOINT_RAD_S2 * TICK_S)
+            if share * size > most:
+                share = most / size
+        return share
+
+    def _rates_to(self, position: Vector, rotation: Rotation) -> list[float]:
+        """Joint speeds (6,) that take the TCP there in one tick."""
         (x, y, z), here = self.tool_at(self.q)
         rx, ry, rz = rotvec_of(multiply(rotation, transpose(here)))
         rate = 1.0 / TICK_S
@@ -141,12 +168,7 @@ class JointTarget:
         )
         if rates is None:
             raise CannotMove("the arm is too close to a singularity for a motion of the tool")
-        for i in _JOINTS:
-            if abs(rates[i]) > _SPEED[i]:
-                raise CannotMove(f"joint {i + 1} would have to turn faster than it can")
-        self._set([a + TICK_S * v for a, v in zip(self.q, rates, strict=True)], rates)
-        self._tool = position, rotation
-        self._twist = twist
+        return rates
 
     def _set(self, q: list[float], qd: list[float]) -> None:
         for i in _JOINTS:

@@ -60,6 +60,20 @@ def test_a_turn_on_the_spot_keeps_the_tcp_where_it_is(arm: Arm):
     assert angle_between(start, arm.plant.tcp_pose()) == pytest.approx(np.hypot(0.15, 0.4), abs=1e-4)
 
 
+@pytest.mark.parametrize(("way", "turn"), [((0.0, 0.1, 0.0), 0.0), ((0.02, 0.04, 0.0), 1.5)])
+def test_a_path_is_slowed_down_to_what_the_joints_can_do(arm: Arm, way: tuple[float, ...], turn: float):
+    start = np.array(arm.plant.tcp_pose()[:3])
+    target = _turned(arm.offset(*way), 0.0, 0.0, turn)
+    _movel(arm, target, t=0.02)
+    arm.until_ready()
+    arm.settle()
+    assert arm.motion.fault is None
+    assert np.allclose(arm.plant.tcp_pose()[:3], target[:3], atol=5e-5)
+    assert angle_between(arm.plant.tcp_pose(), target) < 1e-3
+    assert _distance_from_line(np.array(arm.targets)[:, :3], start, np.array(target[:3])).max() < 3e-4
+    assert np.abs(np.diff(arm.joints, axis=0) / 0.002 / [np.pi] * [1, 1, 1, 0.5, 0.5, 0.5]).max() < 1.1
+
+
 def test_linear_moves_blend_within_the_radius(arm: Arm):
     corner, radius = arm.offset(0.0, 0.06, 0.0), 0.02
     end = arm.offset(0.05, 0.06, -0.02)

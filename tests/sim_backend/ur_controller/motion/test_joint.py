@@ -109,6 +109,18 @@ def test_no_joint_is_asked_to_be_faster_than_it_can(arm: Arm):
     assert fastest == pytest.approx(np.pi, rel=0.06)  # the arm swings past a little where its target stops accelerating
 
 
+def test_a_time_that_is_too_short_does_not_tear_the_arm_from_its_path(arm: Arm):
+    target = _away(arm, np.array([0.5, 0, 0, 0, 0.2, 1.0]))
+    _movej(arm, target, t=0.02)
+    behind = 0.0
+    while not arm.motion.ready:
+        arm.run(1)
+        behind = max(behind, np.abs(arm.plant.q - arm.motion.q_target).max())
+    assert behind < 0.04
+    arm.settle()
+    assert np.allclose(arm.plant.q, target, atol=1e-4)
+
+
 def test_speedj_accelerates_the_leading_axis_and_keeps_the_proportions(arm: Arm):
     arm.motion.speedj([0.2, 0, 0, 0, 0, -0.4], 0.8, 1.0)
     arm.run(125)

@@ -39,3 +39,16 @@ def test_it_brakes_from_where_it_says():
 
 def test_no_path_is_over_at_once():
     assert Trapezoid(0.0, 0.4, 1.5, duration_s=3.0).duration_s == 0.0
+
+
+@pytest.mark.parametrize("duration_s", [0.01, 2.6, 3.0, 6.0])
+@pytest.mark.parametrize("top_speed", [1.0, 10.0])
+def test_a_time_that_is_too_short_takes_as_long_as_it_must(duration_s: float, top_speed: float):
+    fastest = (top_speed, 1.5)
+    profile = Trapezoid(2.0, 0.001, 0.001, duration_s, fastest)
+    shortest = Trapezoid(2.0, *fastest).duration_s
+    assert profile.duration_s == pytest.approx(max(duration_s, shortest), rel=1e-9)
+    time, distance, speed = _sampled(profile)
+    assert distance[-1] == pytest.approx(2.0)
+    assert speed.max() <= top_speed + 1e-12
+    assert np.abs(np.diff(speed) / np.diff(time)).max() <= 1.5 + 1e-6
