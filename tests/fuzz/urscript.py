@@ -5,7 +5,8 @@ from collections.abc import Generator
 import atheris
 from fuzzing import fuzz
 
-with atheris.instrument_imports(include=["sim_backend.ur_controller.script", "sim_backend.ur_controller.builtins"]):
+PURE = [f"sim_backend.ur_controller.builtins.{name}" for name in ("mathematics", "poses", "strings")]
+with atheris.instrument_imports(include=["sim_backend.ur_controller.script", *PURE]):
     from sim_backend.ur_controller.builtins.mathematics import MATHEMATICS
     from sim_backend.ur_controller.builtins.poses import POSES
     from sim_backend.ur_controller.builtins.strings import STRINGS

@@ -7,7 +7,7 @@ text only.
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from lark import Lark, Token, Transformer, UnexpectedInput
 from lark.visitors import v_args  # pyright: ignore[reportUnknownVariableType]  # half annotated
@@ -54,7 +54,7 @@ def parse(text: str) -> Block:
     if len(text) > LONGEST_SOURCE:
         raise CompileError(0, 0, f"The script has {len(text)} characters, the most is {LONGEST_SOURCE}: split it")
     try:
-        return _parser().parse(text)  # type: ignore[return-value]  # the transformer makes a block of the tree
+        return _PARSER.parse(text)  # type: ignore[return-value]  # the transformer makes a block of the tree
     except UnexpectedInput as error:
         raise _syntax_error(error, text) from None
 
@@ -63,17 +63,6 @@ def _syntax_error(error: UnexpectedInput, text: str) -> CompileError:
     # The end of the text, where it comes too early, has the place of the last word before it.
     source = text.split("\n")[error.line - 1].strip()[:LONGEST_QUOTE]
     return CompileError(error.line, error.column, f"syntax_error_on_line:{error.line}:{source}:")
-
-
-@lru_cache(maxsize=1)
-def _parser() -> Lark:
-    return Lark(
-        Path(__file__).with_name("grammar.lark").read_text(encoding="utf-8"),
-        parser="lalr",
-        lexer="basic",  # every keyword is reserved, wherever it stands
-        maybe_placeholders=False,
-        transformer=_TreeBuilder(),
-    )
 
 
 def _place(token: Token) -> Place:
@@ -194,3 +183,13 @@ class _TreeBuilder(Transformer[Token, Block]):
 
 def _at(token: Token, text: str) -> CompileError:
     return CompileError(*_place(token), text)
+
+
+_PARSER: Final = Lark(
+    Path(__file__).with_name("grammar.lark").read_text(encoding="utf-8"),
+    parser="lalr",
+    lexer="basic",  # every keyword is reserved, wherever it stands
+    maybe_placeholders=False,
+    transformer=_TreeBuilder(),
+)
+_PARSER.parse("first = 1")  # makes the scanner too: no tick of a controller has to wait for either
