@@ -23,6 +23,7 @@ from service.drivers.ur.script_upload import UploadError, upload
 from service.faults import FaultCode
 from sim_backend.protocol.rtde.codec import Decoded
 from sim_backend.protocol.rtde.errors import Reason, RtdeError
+from sim_backend.protocol.wire import Program
 
 Mode = Literal["real_time", "lockstep"]
 
@@ -32,6 +33,8 @@ HEARTBEAT_TICKS = 5
 hangs, and one that hears nothing, both fall silent, and the controller's watchdog ends the program."""
 PROGRAM_START_S = 3.0
 """The controller's time from the upload to the program's first echo."""
+STOPPED_S = 1.0
+"""Of the robot's time for an arm that was found engaged to come to rest, with its retract."""
 PATIENCE_S = 10.0
 """Host time beyond which a controller whose own time does not pass is not waited for."""
 
@@ -134,6 +137,9 @@ class UrLink:
         except RtdeError as error:
             raise DriverError(_CODES.get(error.reason, FaultCode.PROTOCOL), str(error)) from error
         self.outbox.begin(self.newest.handled)
+        if await self._is_alive() and self.newest.program == Program.ENGAGED:
+            self.outbox.stop()  # nobody drives the arm that an earlier connection engaged
+            await self.until(lambda package: package.program == Program.IDLE, STOPPED_S)
 
     async def close(self) -> None:
         """End the connection; the watchdog ends the program."""

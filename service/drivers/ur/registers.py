@@ -24,10 +24,8 @@ class Command(IntEnum):
 
 ARGUMENTS = 24
 """Input doubles of a command, from `INPUT_ARGUMENT` on."""
-SEQUENCE_END = 2**31 - 1
-"""Sequence numbers are signed 32-bit integers; at ten commands a second they last for six years."""
-
 INPUT_SEQUENCE = 24
+"""Number of the order, a signed 32-bit integer: at ten orders a second it lasts for six years."""
 INPUT_COMMAND = 25
 INPUT_ARGUMENT = 24
 
@@ -71,7 +69,7 @@ def input_values(sequence: int, command: Command, arguments: Sequence[float]) ->
     """Values of the input recipe.
 
     Args:
-        sequence: of the command, 1 … `SEQUENCE_END`.
+        sequence: of the command, from 1.
         command: what is asked.
         arguments: at most `ARGUMENTS` numbers; the rest is zero.
     """

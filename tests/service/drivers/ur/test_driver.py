@@ -260,6 +260,22 @@ async def test_a_lost_connection_is_told_once_and_a_controller_that_is_gone_name
         assert refused.value.code is FaultCode.LINK
 
 
+async def test_an_arm_that_is_found_engaged_is_stopped_before_anything_else() -> None:
+    async with emulated(ur_config(ur={"watchdog_hz": 2.0})) as arm:
+        await engaged(arm)
+        for _ in range(10):
+            step(arm, -0.005)
+            await arm.pass_time(0.02)
+        await arm.driver._link.close()
+        arm.samples.clear()
+        await arm.driver.connect(arm)
+        await arm.until(lambda: len(arm.samples) > 1)
+        sample = arm.samples[0]
+        assert (sample.program, sample.stop_reason) == (Program.IDLE, StopReason.COMMAND)
+        assert np.abs(sample.qd).max() < 1e-3
+        assert arm.controller.runtime_state is RuntimeState.PLAYING, "it is the same program"
+
+
 async def test_a_real_arm_has_no_seed() -> None:
     async with emulated() as arm:
         real = UrDriver(arm.config, mode="lockstep")
