@@ -1,4 +1,8 @@
-"""Python expressions for those of a script."""
+"""Python expressions for those of a script.
+
+Not in UR's script manual: operators bind as in Python, with `xor` between `or` and `and`, and `and` and `or` leave out
+their right side when the left one decides.
+"""
 
 import ast
 from collections.abc import Sequence
@@ -143,7 +147,6 @@ class ExpressionCompiler:
         return call(place, "_negate" if node.operator == "-" else "_identity", [self.expression(node.operand)])
 
     def _binary(self, node: Binary) -> ast.expr:
-        # `and` and `or` leave out their right side when the left one decides.
         place = node.place
         if node.operator in ("and", "or"):
             both = [self.condition(node.left), self.condition(node.right)]
