@@ -179,45 +179,65 @@ class SpeedL(ToolMover):
 
     Args:
         start: position and rotation of the TCP.
-        twist: (6,) its present one, m/s and rad/s, base frame.
+        twist: (6,) its present one, m/s and rad/s, base frame, at full speed of the slider.
     """
 
     def __init__(self, start: tuple[Vector, Rotation], twist: Sequence[float]) -> None:
         self._position, self._rotation = start
         self._twist = list(twist)
-        self.command(twist, 1.0, 1.0, 0.0)
+        self._timer = Timer(0.0)
+        self.command([0.0] * 6, 1.0, 1.0, 0.0)
 
     def command(self, target: Sequence[float], acceleration: float, turning: float, time_s: float) -> None:
         """Take another speed; without one after that the arm stops.
 
         Args:
-            target: (6,) m/s and rad/s, base frame; zeros to stop.
+            target: (6,) m/s and rad/s, base frame.
             acceleration: m/s².
             turning: rad/s².
             time_s: for which the command holds, 0 until there is another one.
         """
         self._target = list(target)
         self._acceleration, self._turning = acceleration, turning
-        self._timer = Timer(time_s)
+        self._timer = Timer(time_s, self._timer)
         self._resting = not any(target)
         self.ready = False
 
     def step(self, fraction: float) -> ToolState:
         timer = self._timer
-        held = timer.tick(fraction)
-        target = self._target if held and fraction == 1.0 else [fraction * v if held else 0.0 for v in self._target]
-        twist = self._twist
-        linear, near = _approach(twist[:3], target[:3], self._acceleration * TICK_S)
-        angular, turned = _approach(twist[3:], target[3:], self._turning * TICK_S)
-        self._twist = twist = [*linear, *angular]
-        (x, y, z), (vx, vy, vz, wx, wy, wz) = self._position, twist
-        self._position = (x + TICK_S * vx, y + TICK_S * vy, z + TICK_S * vz)
+        target = self._target if timer.tick(fraction) else [0.0] * 6
+        time_s = TICK_S * fraction
+        linear, near = _approach(self._twist[:3], target[:3], self._acceleration * time_s)
+        angular, turned = _approach(self._twist[3:], target[3:], self._turning * time_s)
+        self._twist = [*linear, *angular]
+        (x, y, z), (vx, vy, vz, wx, wy, wz) = self._position, self._twist
+        self._position = (x + time_s * vx, y + time_s * vy, z + time_s * vz)
         if wx or wy or wz:
-            self._rotation = multiply(rotation_of(TICK_S * wx, TICK_S * wy, TICK_S * wz), self._rotation)
+            self._rotation = multiply(rotation_of(time_s * wx, time_s * wy, time_s * wz), self._rotation)
         reached = near and turned
         self.ready = reached if timer.endless else timer.elapsed
-        self.done = reached and (self._resting or timer.elapsed) and not any(twist)
-        return self._position, self._rotation, twist
+        self.done = reached and (self._resting or timer.elapsed) and not any(self._twist)
+        return self._position, self._rotation, [fraction * v for v in self._twist]
+
+
+class StopL(SpeedL):
+    """To rest by decelerations, m/s² and rad/s², whatever the speed slider says.
+
+    Args:
+        start: position and rotation of the TCP.
+        twist: (6,) its present one, m/s and rad/s, base frame.
+        deceleration: m/s².
+        turning: rad/s².
+    """
+
+    def __init__(
+        self, start: tuple[Vector, Rotation], twist: Sequence[float], deceleration: float, turning: float
+    ) -> None:
+        super().__init__(start, twist)
+        self.command([0.0] * 6, deceleration, turning, 0.0)
+
+    def step(self, fraction: float) -> ToolState:
+        return super().step(1.0)
 
 
 class ServoC(ToolMover):

@@ -88,43 +88,62 @@ class SpeedJ(JointMover):
 
     Args:
         q: (6,) rad, where the arm is.
-        qd: (6,) rad/s, its present speeds.
-        target: (6,) rad/s; zeros to stop.
-        acceleration: rad/s².
-        time_s: for which the command holds; without another one the arm then stops. 0: until there is another one.
+        qd: (6,) rad/s, its present speeds, at full speed of the slider.
     """
 
-    def __init__(
-        self, q: Sequence[float], qd: Sequence[float], target: Sequence[float], acceleration: float, time_s: float = 0.0
-    ) -> None:
+    def __init__(self, q: Sequence[float], qd: Sequence[float]) -> None:
         self._q, self._qd = list(q), list(qd)
-        self.command(target, acceleration, time_s)
+        self._timer = Timer(0.0)
+        self.command([0.0] * 6, 1.0, 0.0)
 
     def command(self, target: Sequence[float], acceleration: float, time_s: float) -> None:
-        """Take another target, acceleration and time."""
+        """Take another speed; without one after that the arm stops.
+
+        Args:
+            target: (6,) rad/s.
+            acceleration: rad/s².
+            time_s: for which the command holds, 0 until there is another one.
+        """
         self._target = [max(-limit, min(limit, v)) for limit, v in zip(_SPEED, target, strict=True)]
         self._acceleration = acceleration
-        self._timer = Timer(time_s)
+        self._timer = Timer(time_s, self._timer)
         self._resting = not any(self._target)
         self.ready = False
 
     def step(self, fraction: float) -> tuple[list[float], list[float]]:
         timer = self._timer
-        target = [fraction * v for v in self._target] if timer.tick(fraction) else [0.0] * 6
+        target = self._target if timer.tick(fraction) else [0.0] * 6
         qd = self._qd
         change = [b - a for a, b in zip(qd, target, strict=True)]
         largest = max(abs(d) for d in change)
-        limit = self._acceleration * TICK_S
+        limit = self._acceleration * TICK_S * fraction
         reached = largest <= limit
         if reached:
-            self._qd = target
+            self._qd = qd = list(target)
         else:
             share = limit / largest
-            self._qd = [a + share * d for a, d in zip(qd, change, strict=True)]
-        self._q = [a + TICK_S * v for a, v in zip(self._q, self._qd, strict=True)]
+            self._qd = qd = [a + share * d for a, d in zip(qd, change, strict=True)]
+        self._q = [a + TICK_S * fraction * v for a, v in zip(self._q, qd, strict=True)]
         self.ready = reached if timer.endless else timer.elapsed
-        self.done = reached and (self._resting or timer.elapsed) and not any(self._qd)
-        return list(self._q), list(self._qd)
+        self.done = reached and (self._resting or timer.elapsed) and not any(qd)
+        return list(self._q), [fraction * v for v in qd]
+
+
+class StopJ(SpeedJ):
+    """To rest by a deceleration of the leading axis, rad/s², whatever the speed slider says.
+
+    Args:
+        q: (6,) rad, where the arm is.
+        qd: (6,) rad/s, its present speeds.
+        deceleration: rad/s².
+    """
+
+    def __init__(self, q: Sequence[float], qd: Sequence[float], deceleration: float) -> None:
+        super().__init__(q, qd)
+        self.command([0.0] * 6, deceleration, 0.0)
+
+    def step(self, fraction: float) -> tuple[list[float], list[float]]:
+        return super().step(1.0)
 
 
 class ServoJ(JointMover):
@@ -149,7 +168,7 @@ class ServoJ(JointMover):
         """Take another set-point (6,) rad, which the script waits for during `time_s`."""
         self._target = list(target)
         self._gain, self._lookahead_s = gain, lookahead_s
-        self._timer = Timer(max(time_s, TICK_S))
+        self._timer = Timer(max(time_s, TICK_S), self._timer)
         self.ready = False
 
     def step(self, fraction: float) -> tuple[list[float], list[float]]:

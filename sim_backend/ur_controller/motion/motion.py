@@ -11,11 +11,11 @@ from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.geometry import compose, invert, multiply, rotation_of, rotvec_of, transpose
 from sim_backend.ur_controller.plant import Plant
 
-from .cartesian import Arc, Line, PathMover, ServoC, SpeedL, standing
+from .cartesian import Arc, Line, PathMover, ServoC, SpeedL, StopL, standing
 from .contact import ContactMemory
 from .force import DEFAULT_DAMPING, DEFAULT_GAIN, ForceMode
 from .inverse import inverse
-from .joint import JOINT_RAD_S2, MoveJ, ServoJ, SpeedJ, blend_share, top_speed
+from .joint import JOINT_RAD_S2, MoveJ, ServoJ, SpeedJ, StopJ, blend_share, top_speed
 from .mover import JointMover, Mover, ToolMover
 from .profile import Trapezoid
 from .target import CannotMove, JointTarget
@@ -217,17 +217,17 @@ class Motion:
         """Turn the joints at `qd` (6,) rad/s for `t` s, or until there is another command where `t` is 0."""
         self._queued = None
         mover = self._mover
-        if isinstance(mover, SpeedJ):
-            mover.command(qd, a, t)
-        else:
-            self._take(SpeedJ(self._target.q, self._target.qd, qd, a, t))
+        if type(mover) is not SpeedJ:
+            mover = SpeedJ(self._target.q, self._unscaled(self._target.qd))
+            self._take(mover)
+        mover.command(qd, a, t)
 
     def speedl(self, twist: Sequence[float], a: float, t: float, a_rot: float) -> None:
         """Move the TCP at `twist` (6,), base axes, for `t` s, or until there is another command where `t` is 0."""
         self._queued = None
         mover = self._mover
-        if not isinstance(mover, SpeedL) or self._target.retooled:
-            mover = SpeedL(self._target.tool(), self.target_tcp_speed())
+        if type(mover) is not SpeedL or self._target.retooled:
+            mover = SpeedL(self._target.tool(), self._unscaled(self.target_tcp_speed()))
             self._take(mover)
         mover.command(twist, a, a_rot, t)
 
@@ -242,9 +242,7 @@ class Motion:
         if not self.moving:
             self._take(None)
             return
-        mover = SpeedL(self._target.tool(), self.target_tcp_speed())
-        mover.command([0.0] * 6, a, a_rot, 0.0)
-        self._take(mover)
+        self._take(StopL(self._target.tool(), self.target_tcp_speed(), a, a_rot))
 
     def servoj(self, target: Sequence[float], t: float, lookahead_s: float, gain: float) -> None:
         """Follow the joint set-point `target` (6,) rad; see `joint.ServoJ`."""
@@ -345,8 +343,13 @@ class Motion:
         self._displaced = self._force is not None
         return build(None)
 
-    def _stop(self, a: float) -> SpeedJ:
-        return SpeedJ(self._target.q, self._target.qd, [0.0] * 6, a)
+    def _stop(self, a: float) -> StopJ:
+        return StopJ(self._target.q, self._target.qd, a)
+
+    def _unscaled(self, speeds: Sequence[float]) -> list[float]:
+        """What present speeds (6,) would be at full speed of the slider."""
+        fraction = self.speed_fraction or 1.0
+        return [v / fraction for v in speeds]
 
     def _step(self, mover: Mover | None) -> None:
         target = self._target

@@ -11,6 +11,7 @@ ToolState = tuple[Vector, Rotation, list[float]]
 """TCP position, rotation and twist (6,), base frame."""
 
 _ROUNDING_S = 1e-9
+_ROUNDING_TICKS = 1e-6
 
 
 class Mover:
@@ -42,24 +43,35 @@ class ToolMover(Mover, ABC):
 
 
 class Timer:
-    """Counts the ticks for which a speed or servo command holds; 0 s holds for ever."""
+    """Counts the ticks for which a speed or servo command holds; 0 s holds for ever.
 
-    __slots__ = ("_left", "endless")
+    The speed slider stretches this time as it does that of moves: at half the speed a step of 2 ms lasts two ticks.
+    What a tick takes beyond a command's time is counted to the next command, so that none of it is lost.
 
-    def __init__(self, time_s: float) -> None:
+    Args:
+        time_s: for which the command holds.
+        last: timer of the command before, when this one follows it.
+    """
+
+    __slots__ = ("_left", "_starved", "endless")
+
+    def __init__(self, time_s: float, last: "Timer | None" = None) -> None:
         self.endless = time_s <= 0.0
-        self._left = max(1, round(time_s / TICK_S))
+        self._left = float(max(1, round(time_s / TICK_S)))
+        self._starved = False
+        if last is not None and last.elapsed and not last._starved:
+            self._left += last._left
 
     def tick(self, fraction: float) -> bool:
-        """Use up one tick, unless the program is paused (`fraction` 0); whether the command still held in it."""
-        held = self._left > 0
-        self._left -= fraction > 0.0
-        return held or self.endless
+        """Use up one tick at a fraction of the full speed; whether the command still held in it."""
+        self._starved = self.elapsed
+        self._left -= fraction
+        return not self._starved
 
     @property
     def elapsed(self) -> bool:
         """Whether its time is over."""
-        return self._left <= 0 and not self.endless
+        return self._left <= _ROUNDING_TICKS and not self.endless
 
 
 class Course:

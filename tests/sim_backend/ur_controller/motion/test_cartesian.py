@@ -196,6 +196,20 @@ def test_a_paused_speedl_has_not_used_up_its_time(arm: Arm):
     assert arm.plant.tcp_speed()[1] == pytest.approx(0.05, abs=1e-3)
 
 
+@pytest.mark.parametrize("fraction", [0.5, 0.87])
+def test_the_speed_slider_stretches_the_time_of_each_step(arm: Arm, fraction: float):
+    arm.fraction = arm.motion.speed_fraction = fraction
+    start = np.array(arm.motion.target_tcp_pose()[:3])
+    ticks = 0
+    for _ in range(200):
+        arm.motion.speedl([0.0, 0.05, 0.0, 0.0, 0.0, 0.0], FAST, 0.002, FAST)
+        ticks += arm.until_ready()
+    assert ticks == pytest.approx(200 / fraction, abs=1)
+    moved = np.array(arm.motion.target_tcp_pose()[:3]) - start
+    assert moved[1] == pytest.approx(0.05 * 0.4, abs=1e-4)
+    assert arm.plant.tcp_speed()[1] == pytest.approx(0.05 * fraction, abs=1e-3)
+
+
 def test_stopl_brakes_along_the_line(arm: Arm):
     start = np.array(arm.plant.tcp_pose()[:3])
     arm.run(200, lambda: arm.motion.speedl([0.05, 0.08, -0.03, 0, 0, 0], 2.0, 0.002, 2.0))
