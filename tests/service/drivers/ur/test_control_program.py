@@ -362,6 +362,17 @@ def test_after_a_stop_by_force_the_arm_retracts_as_configured_and_after_another_
     assert arm.plant.tcp_pose()[2] == pytest.approx(z, abs=1e-4)
 
 
+def test_a_retract_ends_where_the_tool_sticks() -> None:
+    arm = Arm(ur={"stop_retract_m": 0.004}).engaged(ceiling=10.0)
+    arm.press()
+    arm.tick(round(STOP_S / TICK_S))
+    z = arm.plant.tcp_pose()[2]
+    arm.plant.flange_wrench = lambda: [0.0, 0.0, -arm.peak_n - 1.0, 0.0, 0.0, 0.0]  # type: ignore[method-assign]
+    arm.tick(150)
+    assert arm.state == (Program.IDLE, StopReason.FORCE_CEILING)
+    assert arm.plant.tcp_pose()[2] - z < 1e-3
+
+
 def test_the_peak_starts_anew_with_every_engagement() -> None:
     arm = Arm().engaged(ceiling=10.0)
     arm.press()
