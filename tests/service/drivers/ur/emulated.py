@@ -8,7 +8,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
 from sim_backend.world import World
+from tests.fault_proxy import FaultProxy
 from tests.service.drivers.ur.cells import UR, ur_config
 
 HOST = UR["host"]
@@ -63,6 +64,7 @@ class Emulated:
         samples: that came while nobody else was the driver's sink.
         faults: likewise.
         before_tick: called before every tick.
+        proxy: between driver and controller, where one was asked for.
     """
 
     controller: Controller
@@ -73,6 +75,7 @@ class Emulated:
     samples: list[Sample] = field(default_factory=list)
     faults: list[tuple[FaultCode, str]] = field(default_factory=list)
     before_tick: Callable[[], None] = lambda: None
+    proxy: FaultProxy | None = None
 
     @property
     def plant(self) -> Plant:
@@ -121,6 +124,7 @@ async def emulated(
     *,
     host: str = HOST,
     prepare: Callable[[Controller], None] = lambda controller: None,
+    proxied: bool = False,
 ) -> AsyncIterator[Emulated]:
     """An emulated controller that ticks, and a driver that is not connected yet.
 
@@ -128,6 +132,7 @@ async def emulated(
         config: of the cell; its ports are replaced by free ones.
         host: address to listen at.
         prepare: does something to the controller before its first tick.
+        proxied: RTDE goes through a proxy that can spoil it.
     """
     config = config or ur_config()
     plant = Plant(World(1, "tr"))
@@ -136,10 +141,12 @@ async def emulated(
     server = ControllerServer(controller, host, ANY_PORTS)
     ports = server.ports
     assert config.ur is not None
+    stack = AsyncExitStack()
+    proxy = await stack.enter_async_context(FaultProxy((host, ports.rtde), host)) if proxied else None
     ur = config.ur.model_copy(
         update={
             "host": host,
-            "rtde_port": ports.rtde,
+            "rtde_port": ports.rtde if proxy is None else proxy.port,
             "dashboard_port": ports.dashboard,
             "primary_port": ports.primary,
         }
@@ -147,7 +154,7 @@ async def emulated(
     config = config.model_copy(update={"ur": ur})
     stage = PlantStage(controller)
     driver = UrDriver(config, mode="lockstep", camera=stage, stage=stage)
-    bench = Emulated(controller, server, driver, config)
+    bench = Emulated(controller, server, driver, config, proxy=proxy)
     ticking = asyncio.create_task(bench.let_time_pass(), name="ticks")
     try:
         yield bench
@@ -156,6 +163,7 @@ async def emulated(
         ticking.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await ticking
+        await stack.aclose()
         server.close()
 
 
