@@ -26,6 +26,8 @@ NO_FAULT, ACTIVATION_RUNS, NOT_ACTIVATED, RELEASING, RELEASED = 0, 5, 7, 11, 15
 _RELEASE_SPEED_MM_S = SPEED_MM_S[0]
 _COUNT_MM = STROKE_MM / (POS_CLOSED - POS_OPEN)
 _LINE_BYTES = 1024
+_DIGITS = 9
+"""Of the longest number that is read."""
 _SETTABLE = ("ACT", "GTO", "ATR", "ARD", "FOR", "SPE", "POS", "MOD", "SID")
 _BITS = ("ACT", "GTO", "ATR", "ARD")
 
@@ -170,4 +172,4 @@ class GripperService:
                 return b"?\n"
 
     def _set(self, name: str, value: str) -> bool:
-        return value.isdecimal() and self._gripper.set(name, int(value))
+        return value.isdecimal() and len(value) <= _DIGITS and self._gripper.set(name, int(value))

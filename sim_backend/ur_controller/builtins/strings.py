@@ -18,9 +18,11 @@ from sim_backend.ur_controller.script.values import (
     text,
 )
 
+_QUOTED: Final = 40
+"""Characters of a string that an error's text quotes."""
 _NUMBER: Final = re.compile(
     r"\s*(?P<hexadecimal>[+-]?0[xX][0-9A-Fa-f]+)|"
-    r"\s*(?P<decimal>[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?)|"
+    r"\s*(?P<decimal>[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?)|"
     r"\s*(?P<special>[+-]?(inf(inity)?|nan))",
     re.ASCII | re.IGNORECASE,
 )
@@ -82,7 +84,7 @@ def to_num(str_: Value) -> float:
     source = text(str_, "str")
     match = _NUMBER.fullmatch(source)
     if match is None:
-        raise ScriptRuntimeError(f'"{source}" is not a number')
+        raise ScriptRuntimeError(f'"{source[:_QUOTED]}" is not a number')
     if match["hexadecimal"]:
         return _within_int(int(match["hexadecimal"], 16), source)
     if match["decimal"] and "." not in source:
@@ -93,7 +95,7 @@ def to_num(str_: Value) -> float:
 
 def _within_int(value: int, source: str) -> int:
     if not LEAST_INT <= value <= LARGEST_INT:
-        raise ScriptRuntimeError(f'"{source}" is out of the range of an int')
+        raise ScriptRuntimeError(f'"{source[:_QUOTED]}" is out of the range of an int')
     return value
 
 
@@ -102,9 +104,7 @@ def _decoded(data: bytes) -> str:
 
 
 def _written(value: Value) -> str:
-    if isinstance(value, bool):
-        return str(value)
-    if isinstance(value, int):
+    if isinstance(value, int):  # a bool too
         return str(value)
     if isinstance(value, float):
         written = f"{value:.6f}"
@@ -113,7 +113,7 @@ def _written(value: Value) -> str:
         BUDGET.left -= len(value)
         if len(value) > 512:  # with its separators beyond what a string can hold
             return checked_text(" " * 2 * len(value))
-        inner = ", ".join(f'"{item}"' if isinstance(item, str) else _written(item) for item in value)
+        inner = ", ".join(f'"{checked_text(item)}"' if isinstance(item, str) else _written(item) for item in value)
         return f"p[{inner}]" if isinstance(value, Pose) else f"[{inner}]"
     raise ScriptRuntimeError(f"Type error: a {kind_of(value)} cannot be written as a string")
 

@@ -200,7 +200,16 @@ def test_requests_in_one_piece_are_answered_in_one(peer: tuple[Listener, socket.
 
 
 @pytest.mark.parametrize(
-    "request_line", [b"GET XYZ\n", b"SET POS\n", b"SET POS 300\n", b"SET POS -1\n", b"hello\n", b"\xff\n"]
+    "request_line",
+    [
+        b"GET XYZ\n",
+        b"SET POS\n",
+        b"SET POS 300\n",
+        b"SET POS -1\n",
+        b"hello\n",
+        b"\xff\n",
+        b"SET POS " + b"9" * 5000 + b"\n",
+    ],
 )
 def test_nonsense_is_answered_with_a_question_mark(peer: tuple[Listener, socket.socket], request_line: bytes) -> None:
     assert ask(peer, request_line) == b"?\n"

@@ -62,6 +62,7 @@ def test_a_decimal_point_makes_a_float() -> None:
         ("str_sub", ("abcde", 6)),
         ("str_find", ("abc", "a", 9)),
         ("to_num", ("123abc",)),
+        ("to_num", ("1" * 100_000 + "x",)),
         ("to_num", ("99999999999",)),
         ("to_num", ("",)),
         ("to_str", (Struct(a=1),)),
@@ -69,6 +70,7 @@ def test_a_decimal_point_makes_a_float() -> None:
         ("str_len", (5,)),
         ("str_cat", ("x" * 1000, "y" * 24)),
         ("to_str", ([1.5] * 4000,)),
+        ("to_str", ([["x" * 2000]],)),
     ],
 )
 def test_what_is_not_defined_is_an_error(name: str, arguments: tuple[Value, ...]) -> None:
