@@ -4,11 +4,12 @@ Commands, replies and which of them need remote control are those of the vendor'
 checked by the vendor's own clients; the refusal outside remote control is as quoted from robots in the field.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable
 
 from sim_backend.ur_controller.controller import Controller
-from sim_backend.ur_controller.events import Refused
+from sim_backend.ur_controller.events import Event, ProgramStopped, Refused
 from sim_backend.ur_controller.listener import Connection
 from sim_backend.ur_controller.safety import RuntimeState
 
@@ -22,6 +23,9 @@ PROGRAM_FOLDER = "/programs/"
 INSTALLATIONS = ("default.installation",)
 BUILD_DATE = "Mar 12 2025"
 
+HEARS_OF_AN_END_AFTER_S = 0.2
+"""So long `stop` still takes a program that has just ended for a running one: PolyScope hears of it by the 10 Hz state
+messages, and clients that end their own program send `stop` right behind."""
 LOG_LINES = 1000
 REPORTS_KEPT = 16
 _LINES_PER_TICK = 16  # of one connection: the tick keeps its time
@@ -51,6 +55,8 @@ class DashboardService:
         self.operational_mode: str | None = None
         self.shutdown_requested = False
         self._controller = controller
+        self._ended_s = -math.inf
+        controller.events.append(self._on_event)
         self._lines: dict[Connection, bytearray] = {}
         self._was_remote: dict[Connection, bool] = {}
         self._remote_only: dict[str, Callable[[str], str]] = {
@@ -169,8 +175,13 @@ class DashboardService:
             return "Failed to execute: play"
         return "Starting program"
 
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, ProgramStopped):
+            self._ended_s = self._controller.time_s
+
     def _stop(self, _: str) -> str:
-        if self._controller.runtime_state is RuntimeState.STOPPED:
+        recently = self._controller.time_s - self._ended_s < HEARS_OF_AN_END_AFTER_S
+        if self._controller.runtime_state is RuntimeState.STOPPED and not recently:
             return "Failed to execute: stop"
         self._controller.stop_program()
         return "Stopped"

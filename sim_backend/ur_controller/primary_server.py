@@ -19,13 +19,14 @@ from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Event, Refused
 from sim_backend.ur_controller.listener import Connection
 from sim_backend.ur_controller.program_reader import ProgramReader, ProgramTooLongError
-from sim_backend.ur_controller.safety import RobotMode, RuntimeState, SafetyMode
+from sim_backend.ur_controller.safety import ASKED_BY_PROGRAM, RobotMode, RuntimeState, SafetyMode
 
 Kind = Literal["primary", "secondary", "realtime"]
 
 BUILD_DATE = "12-03-2025, 10:00:00"
-PROTECTIVE_STOP = 160
-"""Error code by which a protective stop is reported; which one a robot gives depends on the cause."""
+PROTECTIVE_STOP, PROTECTIVE_STOP_ASKED_FOR = 160, 209
+"""Error codes by which a protective stop is reported, the second one when a program has called for it; of the others a
+robot gives one by cause."""
 
 _PROGRAMS_PER_TICK = 2
 _MOST_WAITING = 256
@@ -296,7 +297,8 @@ def _messages(event: Event) -> Iterable[tuple[int, Message]]:
         case events.SafetyChanged(mode, reason):
             yield Source.RUNTIME, messages.SafetyMode(mode)
             if mode is SafetyMode.PROTECTIVE_STOP:
-                yield Source.RUNTIME, ErrorCode(PROTECTIVE_STOP, 0, ReportLevel.WARNING, reason)
+                code = PROTECTIVE_STOP_ASKED_FOR if reason == ASKED_BY_PROGRAM else PROTECTIVE_STOP
+                yield Source.RUNTIME, ErrorCode(code, 0, ReportLevel.WARNING, reason)
             elif mode in (SafetyMode.VIOLATION, SafetyMode.FAULT):
                 level = ReportLevel.VIOLATION if mode is SafetyMode.VIOLATION else ReportLevel.FAULT
                 yield Source.RUNTIME, ErrorCode(0, 0, level, reason)

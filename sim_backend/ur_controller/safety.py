@@ -14,6 +14,8 @@ UNLOCK_AFTER_S = 5.0
 UNLOCK_TOO_EARLY = (
     "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
 )
+ASKED_BY_PROGRAM = "the program has asked for it"
+"""Reason of a protective stop that a script has called for; clients get another error code for it."""
 
 
 class RobotMode(IntEnum):

@@ -51,8 +51,8 @@ def test_a_program_is_loaded_played_paused_and_stopped(robot: EmulatedRobot, das
     assert dashboard.running()
     assert dashboard.programState() == "PLAYING wave.urp"
     dashboard.pause()
+    assert until(lambda: dashboard.programState() == "PAUSED wave.urp")
     assert robot.is_at_rest()
-    assert dashboard.programState() == "PAUSED wave.urp"
     paused = robot.truth().q[5]
     dashboard.play()
     assert until(lambda: abs(robot.truth().q[5] - paused) > 0.02)

@@ -86,6 +86,7 @@ def test_inputs_that_another_client_holds_are_refused(robot: EmulatedRobot, io: 
 def test_a_control_client_on_the_upper_registers_stands_beside_them(robot: EmulatedRobot, io: RTDEIOInterface) -> None:
     robot.lay_out()
     flags = RTDEControlInterface.FLAG_UPLOAD_SCRIPT | RTDEControlInterface.FLAG_UPPER_RANGE_REGISTERS
+    flags |= RTDEControlInterface.FLAG_NO_EXT_FT  # the client on the lower registers holds that input
     client = RTDEControlInterface(robot.host, 500.0, flags)
     try:
         start = robot.truth().q

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.builtins.strings import text_of
 from sim_backend.ur_controller.events import Popup, Text
+from sim_backend.ur_controller.safety import ASKED_BY_PROGRAM
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Struct
 from sim_backend.ur_controller.script.values import Value, integer, number, pose, text, truth, vector
 
@@ -139,7 +140,7 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
             yield
 
     def protective_stop() -> Generator[None, None, None]:
-        controller.protective_stop("the program has asked for it")
+        controller.protective_stop(ASKED_BY_PROGRAM)
         yield
 
     def powerdown() -> Generator[None, None, None]:

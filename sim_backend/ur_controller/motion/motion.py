@@ -68,6 +68,7 @@ class Motion:
         self._displaced = False
         self._rest_ticks = 0
         self.memory.forget()
+        self.memory.record(self._plant.q, self._plant.wrench)
         self.owner = None
         self.fault: str | None = None
         self._target.take_measured()
