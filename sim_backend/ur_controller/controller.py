@@ -217,7 +217,7 @@ class Controller:
 
     def close(self) -> None:
         """End the programs and close what they have opened."""
-        self.interpreter.close()
+        self.interpreter.stop_all()
         self.sockets.close_all()
 
     # --- power and safety ---
@@ -401,6 +401,8 @@ class Controller:
             self.protective_stop(motion.fault)
         elif not math.isfinite(sum(motion.q_target.tolist())):
             self.violate("the joint target is not a number")
+        elif not math.isfinite(sum(plant.wrench.tolist())):
+            self.protective_stop("the wrench on the tool is not a number")
         elif plant.true_force > PROTECTIVE_FORCE_N:
             self.protective_stop(f"the tool carries more than {PROTECTIVE_FORCE_N:.0f} N")
         else:
@@ -415,9 +417,9 @@ class Controller:
         self.plant.external_wrench = (*force, *(a + b for a, b in zip(moment, turned, strict=True)))
 
     def _halt(self) -> None:
-        """Stop at once; the program ends, after its present step where it has asked for it itself."""
+        """Stop at once; the programs end, after its present step the one that has asked for it itself."""
         self.motion.freeze()
-        self.stop_program()
+        self.interpreter.stop_all()
         self._last_target = self.motion.q_target
 
     def _placed(self) -> None:

@@ -9,7 +9,6 @@ from sim_backend.protocol.rtde.fields import BIT_REGISTERS, DOUBLE_REGISTERS, IN
 from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.terminals import TerminalInputs, Terminals
 
-LEAST_INT, LARGEST_INT = -(2**31), 2**31 - 1
 LATE_PACKAGES = 1024
 """More input packages than this wait for their latency to pass only if a client floods; the oldest apply early."""
 

@@ -93,17 +93,15 @@ class Interpreter:
             return
         self._main = self.execution = None
         self._motion.hold()
-        self._motion.owner = None
         self.state = RuntimeState.STOPPING
         self._ended()
         self._emit(ProgramStopped(self.name))
 
-    def close(self) -> None:
-        """End all programs."""
+    def stop_all(self) -> None:
+        """End the secondary programs too."""
         self.stop()
         for secondary in self._secondaries:
             secondary.kill()
-        self._secondaries.clear()
 
     def step(self) -> None:
         """Run the programs' share of one tick."""

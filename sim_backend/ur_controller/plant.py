@@ -127,8 +127,8 @@ class Plant:
 
     def set_tcp(self, offset: Sequence[float]) -> None:
         """Configure the TCP: its pose in the flange's frame."""
+        self._tool_rotation = rotation_of(*offset[3:])
         self.tcp_offset = tuple(map(float, offset))
-        self._tool_rotation = rotation_of(*self.tcp_offset[3:])
         self._configure()
         self._pose = self._twist = self._twist_before = None
 

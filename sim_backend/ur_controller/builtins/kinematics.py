@@ -10,6 +10,7 @@ from sim_backend.kinematics import JOINT_RANGE_RAD, KinematicsError
 from sim_backend.ur_controller.geometry import compose, invert, rotation_of
 from sim_backend.ur_controller.motion.inverse import inverse
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Value
+from sim_backend.ur_controller.script.budget import BUDGET
 from sim_backend.ur_controller.script.values import number, pose, vector
 
 from .motion import NO_SOLUTION
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from sim_backend.ur_controller.controller import Controller
 
 ACTIVE_TCP = "active_tcp"
+_SOLUTION_COST, _JACOBIAN_COST = 1000, 500
+"""Operations that the eight solutions, and a Jacobian, count for beyond those of any call."""
 _MEASURED: list[float] = []
 """Default of joint angles that a script leaves out: those measured now."""
 
@@ -33,6 +36,7 @@ def kinematics_builtins(controller: "Controller") -> dict[str, Builtin]:
     def solve(x: Value, qnear: Value, tcp: Value) -> list[float] | None:
         near = plant.q.tolist() if qnear == _MEASURED else vector(qnear, 6, "qnear")
         flange = compose(pose(x, "x"), invert(offset_of(tcp)))
+        BUDGET.left -= _SOLUTION_COST
         try:
             return inverse((flange[0], flange[1], flange[2]), rotation_of(*flange[3:]), near)
         except KinematicsError:
@@ -67,6 +71,7 @@ def kinematics_builtins(controller: "Controller") -> dict[str, Builtin]:
 
     def get_jacobian(q: Value = _MEASURED, tcp: Value = ACTIVE_TCP) -> list[list[float]]:
         angles = plant.q.tolist() if q == _MEASURED else vector(q, 6, "q")
+        BUDGET.left -= _JACOBIAN_COST
         return kinematics.jacobian(angles, offset_of(tcp)[:3]).tolist()
 
     def get_target_tcp_pose() -> Pose:
@@ -89,6 +94,7 @@ def kinematics_builtins(controller: "Controller") -> dict[str, Builtin]:
 
     def is_within_safety_limits(x: Value) -> bool:
         if type(x) is Pose:
+            BUDGET.left -= _SOLUTION_COST
             return motion.reachable(x)
         return bool((np.abs(vector(x, 6, "x")) <= JOINT_RANGE_RAD).all())
 

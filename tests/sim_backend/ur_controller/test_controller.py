@@ -152,6 +152,15 @@ def test_secondary_programs_are_bounded_and_run_without_power(bench):
     bench.controller.run_script("sec wait():\n  sleep(0.01)\nend\n")
 
 
+def test_a_stop_for_safety_ends_secondary_programs_too(bench):
+    bench.controller.run_script("sec wait():\n  sleep(0.1)\n  set_digital_out(1, True)\nend\n")
+    bench.run(5)
+    bench.controller.protective_stop("test")
+    bench.controller.unlock_protective_stop(at_once=True)
+    bench.run(100)
+    assert bench.get("actual_digital_output_bits") == 0
+
+
 def test_loaded_programs_are_played_by_name(bench):
     controller = bench.controller
     with pytest.raises(Refused, match="Failed to execute: play"):

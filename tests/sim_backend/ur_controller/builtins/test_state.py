@@ -4,7 +4,7 @@ import pytest
 from sim_backend import scene
 from sim_backend.ur_controller import events
 from sim_backend.ur_controller.geometry import compose, invert
-from sim_backend.ur_controller.safety import RobotMode, RuntimeState
+from sim_backend.ur_controller.safety import RobotMode, RuntimeState, SafetyMode
 
 WEIGHT_N = scene.PAYLOAD_KG * 9.81
 
@@ -157,6 +157,18 @@ def test_an_external_sensor_takes_the_place_of_the_built_in_one(bench):
     bench.heard.clear()
     bench.finish("enable_external_ft_sensor(False, 0, [0,0,0], [0,0,0])\nsleep(0.02)")
     assert np.linalg.norm(bench.get("actual_TCP_force")[:3]) < 15.0
+
+
+@pytest.mark.parametrize("reading", [float("nan"), float("inf")])
+def test_an_external_sensor_that_gives_no_number_stops_the_arm_before_it_moves(bench, reading):
+    compliant = "p[0,0,0,0,0,0], [0,0,1,0,0,0], [0,0,0,0,0,0], 2, [1,1,1,1,1,1]"
+    bench.program(f"ft_rtde_input_enable(True)\nforce_mode({compliant})\nsleep(9)")
+    bench.run(5)
+    standing = bench.get("target_q")
+    bench.controller.apply_inputs(("external_force_torque",), ((0.0, 0.0, reading, 0.0, 0.0, 0.0),))
+    bench.run(20)
+    assert bench.controller.safety_mode is SafetyMode.PROTECTIVE_STOP
+    assert bench.get("target_q") == pytest.approx(standing, abs=1e-4)
 
 
 def test_an_external_sensor_that_falls_silent_pauses_the_program(bench):
