@@ -9,6 +9,7 @@ from sim_backend.ur_controller.builtins.strings import text_of
 from sim_backend.ur_controller.events import Popup, Text
 from sim_backend.ur_controller.safety import ASKED_BY_PROGRAM
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Struct
+from sim_backend.ur_controller.script.budget import BUDGET
 from sim_backend.ur_controller.script.values import Value, integer, number, pose, text, truth, vector
 
 if TYPE_CHECKING:
@@ -16,11 +17,19 @@ if TYPE_CHECKING:
 
 _KEPT: list[float] = []
 """Default of a vector that stays as it is."""
+_LARGEST = 1e3
+"""Of any number that the arm's dynamics are computed from, in kg, m and rad: farther than any arm, and no overflow."""
+_CONFIGURING_COST = 150
+"""Operations that a change of TCP or payload counts for beyond those of any call."""
 
 
 def state_builtins(controller: "Controller") -> dict[str, Builtin]:
     """Builtins on the state and the configuration of `controller`."""
     plant = controller.plant
+
+    def carry(kg: float, cog: Sequence[float], inertia: Sequence[float] | None = None) -> None:
+        BUDGET.left -= _CONFIGURING_COST
+        plant.set_payload(kg, cog, inertia)
 
     def get_actual_tcp_pose() -> Pose:
         return Pose(plant.tcp_pose())
@@ -70,19 +79,20 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
         return Struct(sec=whole, nanosec=round((controller.time_s - whole) * 1e9))
 
     def set_tcp(pose_: Value) -> None:
-        plant.set_tcp(_finite(pose(pose_, "pose"), "pose"))
+        BUDGET.left -= _CONFIGURING_COST
+        plant.set_tcp(_moderate(pose(pose_, "pose"), "pose"))
 
     def get_tcp_offset() -> Pose:
         return Pose(plant.tcp_offset)
 
     def set_payload(m: Value, cog: Value = _KEPT) -> None:
-        plant.set_payload(_mass(m), _vector(cog, plant.payload_cog, "cog"))
+        carry(_mass(m), _vector(cog, plant.payload_cog, "cog"))
 
     def set_payload_mass(m: Value) -> None:
-        plant.set_payload(_mass(m), plant.payload_cog)
+        carry(_mass(m), plant.payload_cog)
 
     def set_payload_cog(CoG: Value) -> None:  # noqa: N803 (the manual's name)
-        plant.set_payload(plant.payload_kg, _vector(CoG, plant.payload_cog, "CoG"))
+        carry(plant.payload_kg, _vector(CoG, plant.payload_cog, "CoG"))
 
     def set_target_payload(
         m: Value, cog: Value, inertia: Value = _KEPT, transition_time: Value = 0.0
@@ -93,12 +103,12 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
         first_mass, first_centre = plant.payload_kg, plant.payload_cog
         for tick in range(1, ticks):
             share = tick / ticks
-            plant.set_payload(
+            carry(
                 first_mass + share * (mass - first_mass),
                 [a + share * (b - a) for a, b in zip(first_centre, centre, strict=True)],
             )
             yield
-        plant.set_payload(mass, centre, matrix)
+        carry(mass, centre, matrix)
 
     def get_target_payload() -> float:
         return plant.payload_kg
@@ -110,7 +120,7 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
         return list(plant.payload_inertia)
 
     def set_gravity(d: Value) -> None:
-        x, y, z = vector(d, 3, "d")
+        x, y, z = _moderate(vector(d, 3, "d"), "d")
         controller.gravity = (x, y, z)
 
     def zero_ftsensor() -> None:
@@ -191,16 +201,16 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
 
 def _mass(value: Value) -> float:
     mass = number(value, "mass")
-    if not 0.0 <= mass < math.inf:
-        raise ScriptRuntimeError(f"a mass must be finite and not negative, not {mass}")
+    if not 0.0 <= mass <= _LARGEST:
+        raise ScriptRuntimeError(f"a mass must lie in 0 … {_LARGEST:.0f} kg, not {mass}")
     return mass
 
 
 def _vector(value: Value, kept: Sequence[float], what: str) -> Sequence[float]:
-    return _finite(vector(value, len(kept), what), what) if value else kept
+    return _moderate(vector(value, len(kept), what), what) if value else kept
 
 
-def _finite(values: Sequence[float], what: str) -> Sequence[float]:
-    if all(map(math.isfinite, values)):
+def _moderate(values: Sequence[float], what: str) -> Sequence[float]:
+    if all(abs(value) <= _LARGEST for value in values):
         return values
-    raise ScriptRuntimeError(f"{what} must be finite, not {list(values)}")
+    raise ScriptRuntimeError(f"{what} must hold numbers up to {_LARGEST:.0f}, not {list(values)}")

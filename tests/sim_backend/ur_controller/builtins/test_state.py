@@ -159,6 +159,33 @@ def test_an_external_sensor_takes_the_place_of_the_built_in_one(bench):
     assert np.linalg.norm(bench.get("actual_TCP_force")[:3]) < 15.0
 
 
+@pytest.mark.parametrize(
+    "call",
+    [
+        "set_tcp(p[0, 0, 0, 1e200, 0, 0])",
+        "set_tcp(p[1e308, 0, 1e308, 0, 0, 0])",
+        "set_payload(1e308)",
+        "set_payload(-1)",
+        "set_payload_mass(1e308 * 10)",
+        "set_payload_cog([1e308, 0, 1e308])",
+        "set_gravity([0, 0, 1e308])",
+        "ft_rtde_input_enable(True, 0, [0, 0, 1e308])",
+    ],
+)
+def test_no_program_can_make_the_arm_s_numbers_overflow(bench, call):
+    before = bench.get("tcp_offset"), bench.get("payload"), bench.get("payload_cog"), bench.get("target_gravity")
+    bench.program(call)
+    bench.run(5)
+    assert bench.of(events.RuntimeFailed)
+    assert before == (
+        bench.get("tcp_offset"),
+        bench.get("payload"),
+        bench.get("payload_cog"),
+        bench.get("target_gravity"),
+    )
+    assert np.isfinite(bench.get("target_TCP_pose")).all()
+
+
 @pytest.mark.parametrize("reading", [float("nan"), float("inf")])
 def test_an_external_sensor_that_gives_no_number_stops_the_arm_before_it_moves(bench, reading):
     compliant = "p[0,0,0,0,0,0], [0,0,1,0,0,0], [0,0,0,0,0,0], 2, [1,1,1,1,1,1]"
