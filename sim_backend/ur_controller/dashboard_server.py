@@ -26,8 +26,8 @@ BUILD_DATE = "Mar 12 2025"
 HEARS_OF_AN_END_AFTER_S = 0.2
 """So long `stop` still takes a program that has just ended for a running one: PolyScope hears of it by the 10 Hz state
 messages, and clients that end their own program send `stop` right behind."""
-LOG_LINES = 1000
-REPORTS_KEPT = 16
+LOG_LINES, LOG_CHARACTERS = 1000, 500
+"""Of the log: lines, and characters of a line."""
 _LINES_PER_TICK = 16  # of one connection: the tick keeps its time
 _WAITING_BYTES = 1 << 16  # a peer with more on its mind is no dashboard client
 
@@ -43,7 +43,6 @@ class DashboardService:
     Attributes:
         popup: text of the message on the screen; None when there is none.
         log: newest lines of the log, as `addToLog` wrote them.
-        reports: the newest flight reports and support files by name; they are kept here and written nowhere.
         operational_mode: as set from here; None while the dashboard does not control it.
         shutdown_requested: a client has asked the controller to shut down.
     """
@@ -51,7 +50,6 @@ class DashboardService:
     def __init__(self, controller: Controller) -> None:
         self.popup: str | None = None
         self.log: deque[str] = deque(maxlen=LOG_LINES)
-        self.reports: dict[str, str] = {}
         self.operational_mode: str | None = None
         self.shutdown_requested = False
         self._controller = controller
@@ -230,7 +228,7 @@ class DashboardService:
     def _add_to_log(self, text: str) -> str:
         if not text:
             return "No log message to add"
-        self.log.append(text)
+        self.log.append(text[:LOG_CHARACTERS])
         return "Added log message"
 
     def _flight_report(self, kind: str) -> str:
@@ -242,15 +240,8 @@ class DashboardService:
         return f"Completed successfully: {self._report(f'ur_{self._controller.serial}')}.zip"
 
     def _report(self, prefix: str) -> str:
-        """Keep what a report says; what is older than `REPORTS_KEPT` goes."""
-        name = f"{prefix}_{self._controller.time_s:.3f}"
-        lines = (
-            self.answer(question) for question in ("PolyscopeVersion", "robotmode", "safetystatus", "programState")
-        )
-        self.reports[name] = "\n".join((*lines, *self.log))
-        while len(self.reports) > REPORTS_KEPT:
-            del self.reports[next(iter(self.reports))]
-        return name
+        """Name of a report that a robot would write to its disk; here there is none."""
+        return f"{prefix}_{self._controller.time_s:.3f}"
 
     # --- modes ------------------------------------------------------------------------------------------------------
 
