@@ -11,7 +11,10 @@ from rich.console import Console
 from benchmarks import machine, report
 from benchmarks.result import Result, UnavailableError
 
-BENCHMARKS = ("tick", "stop_latency", "round_trip", "lockstep", "lateness", "throughput", "training_share", "rtde")
+BENCHMARKS = (
+    *("tick", "stop_latency", "round_trip", "lockstep", "lateness", "throughput", "training_share"),
+    *("rtde", "emulator", "ur_client", "ur_stop", "ur_ceiling", "ur_silence"),
+)
 FOLDER = Path(__file__).parent / "results"
 
 

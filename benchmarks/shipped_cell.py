@@ -31,10 +31,11 @@ class ShippedCell:
 
 
 @contextmanager
-def shipped_cell(**overrides: str) -> Generator[ShippedCell]:
+def shipped_cell(file: Path | None = None, **overrides: str) -> Generator[ShippedCell]:
     """Read the configuration with ports and folder replaced.
 
     Args:
+        file: instead of the one that the control process would read.
         **overrides: more fields, `limits__sample_age_s="0.5"`.
 
     Raises:
@@ -49,6 +50,8 @@ def shipped_cell(**overrides: str) -> Generator[ShippedCell]:
             **overrides,
         }
         variables = {f"DSL_ASSEMBLY__{name.upper()}": value for name, value in fields.items()}
+        if file is not None:
+            variables[configuration.PATH_VARIABLE] = str(file)
         before = {name: os.environ.get(name) for name in variables}
         os.environ.update(variables)
         try:

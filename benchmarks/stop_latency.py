@@ -101,12 +101,22 @@ def _on_the_wire(shipped: ShippedCell, arguments: tuple[str, ...], count: int) -
         running("benchmarks.tripping_world", config.sim.endpoint, config.sim.world),
         running("benchmarks.watched_service", output, *arguments, ready="serving", environment=shipped.environment),
     ):
-        return asyncio.run(_stops(shipped, count))
+        return asyncio.run(stops(shipped, config.sim.endpoint, count))
 
 
-async def _stops(shipped: ShippedCell, count: int) -> list[float]:
+async def stops(shipped: ShippedCell, endpoint: str, count: int) -> list[float]:
+    """Start insertions, have each tripped while it approaches, and reset; return the spans from sample to stop, s.
+
+    Args:
+        shipped: runs, and is served.
+        endpoint: of who answers `TRIP`.
+        count: of insertions.
+
+    Raises:
+        UnavailableError: no stop came, or no insertion got that far.
+    """
     taken: list[float] = []
-    session = await asyncio.to_thread(open_session, connect=[shipped.config.sim.endpoint])
+    session = await asyncio.to_thread(open_session, connect=[endpoint])
     pauses = random.Random(0)  # noqa: S311  # so that stops fall on any moment of a tick
     try:
         async with CellClient(shipped.config.cell.id, [shipped.config.cell.endpoint]) as client:

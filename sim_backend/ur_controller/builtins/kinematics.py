@@ -36,7 +36,7 @@ def kinematics_builtins(controller: "Controller") -> dict[str, Builtin]:
     def solve(x: Value, qnear: Value, tcp: Value) -> list[float] | None:
         near = plant.q.tolist() if qnear == _MEASURED else vector(qnear, 6, "qnear")
         flange = compose(pose(x, "x"), invert(offset_of(tcp)))
-        BUDGET.left -= _SOLUTION_COST
+        BUDGET.take(_SOLUTION_COST)
         try:
             return inverse((flange[0], flange[1], flange[2]), rotation_of(*flange[3:]), near)
         except KinematicsError:
@@ -71,7 +71,7 @@ def kinematics_builtins(controller: "Controller") -> dict[str, Builtin]:
 
     def get_jacobian(q: Value = _MEASURED, tcp: Value = ACTIVE_TCP) -> list[list[float]]:
         angles = plant.q.tolist() if q == _MEASURED else vector(q, 6, "q")
-        BUDGET.left -= _JACOBIAN_COST
+        BUDGET.take(_JACOBIAN_COST)
         return kinematics.jacobian(angles, offset_of(tcp)[:3]).tolist()
 
     def get_target_tcp_pose() -> Pose:
@@ -94,7 +94,7 @@ def kinematics_builtins(controller: "Controller") -> dict[str, Builtin]:
 
     def is_within_safety_limits(x: Value) -> bool:
         if type(x) is Pose:
-            BUDGET.left -= _SOLUTION_COST
+            BUDGET.take(_SOLUTION_COST)
             return motion.reachable(x)
         return bool((np.abs(vector(x, 6, "x")) <= JOINT_RANGE_RAD).all())
 

@@ -133,7 +133,7 @@ def make_list(length: Value, initial_value: Value, capacity: Value = None) -> li
         raise ScriptRuntimeError(f"A list has 0 … {LARGEST_LIST} elements, not {count} of {most}")
     if is_list(initial_value) and not isinstance(initial_value, Pose):
         raise ScriptRuntimeError("Type error: make_list makes no list of lists")
-    BUDGET.left -= count
+    BUDGET.take(count)
     return checked_list([initial_value] * count)
 
 
@@ -158,7 +158,7 @@ def inv(m: Value) -> Value:
     rows = _matrix_of(m)
     if len(rows) != len(rows[0]):
         raise ScriptRuntimeError(f"Only a square matrix has an inverse, not {len(rows)} × {len(rows[0])}")
-    BUDGET.left -= 200 + len(rows) ** 2
+    BUDGET.take(200 + len(rows) ** 2)
     try:
         inverse: list[list[float]] = np.linalg.inv(np.array(rows)).tolist()
     except np.linalg.LinAlgError:
@@ -171,7 +171,7 @@ def transpose(m: Value) -> Value:
     if is_list(m) and not is_matrix(m):
         return [[item] for item in vector(m, len(m), "m")]
     rows = _matrix_of(m)
-    BUDGET.left -= len(rows) * len(rows[0])
+    BUDGET.take(len(rows) * len(rows[0]))
     return [row[0] for row in rows] if len(rows[0]) == 1 else [list(column) for column in zip(*rows, strict=True)]
 
 
@@ -194,7 +194,7 @@ def _whole(name: str, function: Callable[[float], int], f: Value) -> float:
 def _length_of(v: Value) -> int:
     if not is_list(v):
         raise ScriptRuntimeError(f"Type error: a list is needed, not a {kind_of(v)}")
-    BUDGET.left -= len(v) >> 3
+    BUDGET.take(len(v) >> 3)
     return len(v)
 
 

@@ -28,7 +28,7 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
     plant = controller.plant
 
     def carry(kg: float, cog: Sequence[float], inertia: Sequence[float] | None = None) -> None:
-        BUDGET.left -= _CONFIGURING_COST
+        BUDGET.take(_CONFIGURING_COST)
         plant.set_payload(kg, cog, inertia)
 
     def get_actual_tcp_pose() -> Pose:
@@ -79,7 +79,7 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
         return Struct(sec=whole, nanosec=round((controller.time_s - whole) * 1e9))
 
     def set_tcp(pose_: Value) -> None:
-        BUDGET.left -= _CONFIGURING_COST
+        BUDGET.take(_CONFIGURING_COST)
         plant.set_tcp(_moderate(pose(pose_, "pose"), "pose"))
 
     def get_tcp_offset() -> Pose:

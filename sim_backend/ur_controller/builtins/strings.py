@@ -110,7 +110,7 @@ def _written(value: Value) -> str:
         written = f"{value:.6f}"
         return written.rstrip("0").rstrip(".") if "." in written else written
     if is_list(value):
-        BUDGET.left -= len(value)
+        BUDGET.take(len(value))
         if len(value) > 512:  # with its separators beyond what a string can hold
             return checked_text(" " * 2 * len(value))
         inner = ", ".join(f'"{checked_text(item)}"' if isinstance(item, str) else _written(item) for item in value)

@@ -115,7 +115,7 @@ greater, greater_or_equal = ordered(operator.gt), ordered(operator.ge)
 def equal(a: Value, b: Value) -> bool:
     """`a == b`; values of two types differ, but an int equals a float of its size."""
     if is_list(a) and is_list(b):
-        BUDGET.left -= min(len(a), len(b)) >> 3
+        BUDGET.take(min(len(a), len(b)) >> 3)
     return a == b
 
 
@@ -142,15 +142,15 @@ def _elementwise(sign: str, apply: Callable[[Value, Value], Value], a: Value, b:
     if is_list(a) and is_list(b):
         if len(a) != len(b):
             raise ScriptRuntimeError(f"Lists of {len(a)} and {len(b)} elements cannot be combined by {sign}")
-        BUDGET.left -= len(a)
+        BUDGET.take(len(a))
         items = [apply(x, y) for x, y in zip(a, b, strict=True)]
         return Pose(items) if type(a) is Pose and type(b) is Pose else items
     if is_list(a) and is_number(b):
-        BUDGET.left -= len(a)
+        BUDGET.take(len(a))
         items = [apply(x, b) for x in a]
         return Pose(items) if type(a) is Pose else items
     if is_number(a) and is_list(b):
-        BUDGET.left -= len(b)
+        BUDGET.take(len(b))
         items = [apply(a, y) for y in b]
         return Pose(items) if type(b) is Pose else items
     raise ScriptRuntimeError(f"Type error: {sign} cannot be applied to a {kind_of(a)} and a {kind_of(b)}")
@@ -168,7 +168,7 @@ def _product(matrix: list[list[Value]], other: list[Value]) -> list[Value]:
     products = len(rows) * width * len(columns)
     if products > MOST_PRODUCTS:
         raise ScriptRuntimeError(f"A product of {products} multiplications is too large: the most is {MOST_PRODUCTS}")
-    BUDGET.left -= 2 * products
+    BUDGET.take(2 * products)
     product = [[sum(map(operator.mul, row, column)) for column in columns] for row in rows]
     return product if is_matrix(other) else [row[0] for row in product]
 
@@ -212,7 +212,7 @@ def _measure(value: Value, depth: int) -> int:
     if depth > DEEPEST_VALUE:
         raise ScriptRuntimeError(f"Lists and structs can be nested {DEEPEST_VALUE} deep")
     size = sum(_measure(item, depth + 1) for item in items)
-    BUDGET.left -= len(items)
+    BUDGET.take(len(items))
     if size > LARGEST_LIST:
         raise ScriptRuntimeError(f"A list cannot have more than {LARGEST_LIST} elements")
     return size
@@ -262,7 +262,7 @@ def replaced(base: Value, value: Value, *path: Value) -> Value:
         return pose
     if not is_list(base):
         raise ScriptRuntimeError(f"Type error: a {kind_of(base)} has no elements")
-    BUDGET.left -= len(base) >> 3
+    BUDGET.take(len(base) >> 3)
     position = _position(base, key)
     items = base.copy()
     items[position] = replaced(items[position], value, *rest) if rest else value
@@ -293,7 +293,7 @@ def method(base: Value, name: str, *arguments: Value) -> tuple[Value, Value]:
     """
     if not is_list(base) or type(base) is Pose:
         raise ScriptRuntimeError(f"Type error: a {kind_of(base)} has no method {name}")
-    BUDGET.left -= len(base) >> 3
+    BUDGET.take(len(base) >> 3)
     match name, arguments:
         case "length", ():
             return base, len(base)

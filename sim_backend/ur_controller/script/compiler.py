@@ -59,6 +59,8 @@ FILE_NAME: Final = "<script>"
 MAIN: Final = "_main"
 CHEAP_BRANCH: Final = 8
 """Operations that are paid for whether they are done or not."""
+LONGEST_STRETCH: Final = 50
+"""Operations, or little more, from one look at the budget to the next where there is no loop."""
 _FLOW: Final[Table] = {"sync": Builtin.of(sync), "sleep": Builtin.of(sleep)}
 
 
@@ -172,7 +174,12 @@ class _StatementCompiler(ExpressionCompiler):
                 return [assign(place, "_t", handle), while_(place, runs, [wait(place, None)])]
 
     def _block(self, block: Block, place: Place) -> list[ast.stmt]:
-        statements = [made for node in block for made in self.statement(node)]
+        statements: list[ast.stmt] = []
+        for node in block:
+            statements += self.statement(node)
+            if self.routine.waits and self.cost > LONGEST_STRETCH:
+                statements += take_or_wait(node.place, self.cost, EXHAUSTED)
+                self.cost = 0
         return statements or [at(place, ast.Pass())]
 
     def _assign(self, node: Assign) -> ast.stmt:

@@ -27,7 +27,7 @@ from .syntax import (
     Place,
     Unary,
 )
-from .values import Pose
+from .values import LARGEST_LIST, Pose
 
 _OPERATORS: Final = {
     "+": "add",
@@ -258,7 +258,7 @@ def _fixed(node: Expression) -> Any:
             value, bool
         ):
             return -value if sign == "-" else value
-        case ListLiteral() if node.items:
+        case ListLiteral() if 0 < len(node.items) <= LARGEST_LIST:
             values = [_fixed(value) for value in node.items]
             if any(value is None for value in values):
                 return None
