@@ -11,6 +11,7 @@ moves inside of a section while the main thread, inside of another, waits for th
 
 import enum
 import re
+import resource
 from collections.abc import Generator
 from types import CodeType, TracebackType
 from typing import Any, Final, TypeAlias
@@ -27,6 +28,8 @@ LEAST_SHARE: Final = 500
 MOST_THREADS: Final = 50
 """Of a program, those included that have ended in the same tick."""
 DEEPEST_CALL: Final = 60
+MOST_MEMORY_KIB: Final = 512 * 1024
+"""By which the process may grow while a program runs: values are bounded one by one, their number is not."""
 
 Code: TypeAlias = Generator[int | None, None, Value]
 
@@ -92,6 +95,7 @@ class Execution:
         self.current_thread: ScriptThread | None = None
         self._limit = self._left = step_limit
         self._handles = 0
+        self._memory_kib = _peak_memory_kib()
         names: dict[str, Any] = compiled.names | {
             "_run": self._run,
             "_runs": self._runs,
@@ -113,6 +117,9 @@ class Execution:
         """
         if not all(thread.alive for thread in self._threads):
             self._threads = [thread for thread in self._threads if thread.alive]
+        if _peak_memory_kib() - self._memory_kib > MOST_MEMORY_KIB:
+            self.error = ScriptRuntimeError("The program needs too much memory", thread=self.name)
+            self._end(State.FAILED)
         self._left = self._limit
         first, self._first = self._first, None
         if first is not None and not self._advance(first):
@@ -216,6 +223,11 @@ class Execution:
 
     def _leave_call(self, thread: ScriptThread) -> None:
         thread.depth -= 1
+
+
+def _peak_memory_kib() -> int:
+    """Most memory that the process has ever had."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def _runtime_error(error: Exception, thread: str) -> ScriptRuntimeError:

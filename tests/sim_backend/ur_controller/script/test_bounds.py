@@ -6,7 +6,7 @@ from types import CodeType
 
 import pytest
 
-from sim_backend.ur_controller.script import Builtin, CompileError, Execution, State, compile_source
+from sim_backend.ur_controller.script import Builtin, CompileError, Execution, State, compile_source, runtime
 from sim_backend.ur_controller.script.compiler import Compiled
 from sim_backend.ur_controller.script.parser import LONGEST_SOURCE, parse
 from tests.sim_backend.ur_controller.script.runs import Run, error, value
@@ -75,6 +75,31 @@ def test_values_are_bounded_in_size_and_depth(text: str) -> None:
         tracemalloc.stop()
     assert run.execution.state is State.FAILED
     assert peak < 20e6
+
+
+def test_a_program_that_needs_too_much_memory_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = "l = make_list(4096, 1.5)\nwhile True:\n  sync()\nend"
+    assert Run(text).step(5).execution.state is State.RUNNING
+    monkeypatch.setattr(runtime, "MOST_MEMORY_KIB", -1)
+    assert "memory" in error(text)[2]
+
+
+@pytest.mark.parametrize("statement", ["y = x + 1.5", "y = f(x)", "y = inv(m)", "if True: y = x * 2 end"])
+def test_a_tick_ends_between_statements_without_a_loop_too(statement: str) -> None:
+    start = "def f(x): return x + 1 end x = make_list(4096, 1.5) m = [[2, 1], [1, 2]] out(0)\n"
+    run = Run(start + f"{statement}\n" * 400 + "out(1)").to_end()
+    assert run.ticks[1] - run.ticks[0] > 5
+
+
+def test_a_statement_that_takes_far_more_than_a_tick_fails() -> None:
+    assert "too much work" in error("x = make_list(4096, 1.5)\ny = [" + "x + 1, " * 1000 + "x]")[2]
+
+
+def test_literals_are_bounded_as_other_values() -> None:
+    assert "4096 elements" in error("x = [" + "1, " * 4096 + "1]")[2]
+    with pytest.raises(CompileError, match="1023 characters"):
+        compile_source('x = "' + "a" * 1024 + '"', {})
+    assert value('str_len("' + "a" * 1023 + '")') == 1023
 
 
 def test_threads_that_have_ended_leave_nothing_behind() -> None:
