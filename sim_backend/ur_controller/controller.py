@@ -399,7 +399,7 @@ class Controller:
             return
         if motion.fault is not None:
             self.protective_stop(motion.fault)
-        elif not math.isfinite(sum(motion.q_target.tolist())):
+        elif not math.isfinite(sum((motion.q_target + motion.qd_target).tolist())):
             self.violate("the joint target is not a number")
         elif not math.isfinite(sum(plant.wrench.tolist())):
             self.protective_stop("the wrench on the tool is not a number")

@@ -4,7 +4,6 @@ Only one thread at a time can move the arm: whoever waits in one of these functi
 leaves the arm to come to rest by itself.
 """
 
-import math
 from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,7 @@ from sim_backend.kinematics import JOINT_SPEED_RAD_S, KinematicsError
 from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.motion import Motion
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Value
-from sim_backend.ur_controller.script.values import integer, is_list, number, pose, text_of_kind, truth, vector
+from sim_backend.ur_controller.script.values import integer, is_list, number, pose, quantities, text_of_kind, truth
 
 if TYPE_CHECKING:
     from sim_backend.ur_controller.controller import Controller
@@ -29,6 +28,8 @@ _OPTIMOVE_RAD_S2, _OPTIMOVE_M_S, _OPTIMOVE_M_S2 = 10.0, 1.0, 5.0
 """What a fraction of 1 stands for in optimovej and optimovel. An assumption: UR publishes none."""
 _ALL_FREE, _BASE = [1] * 6, Pose([0.0] * 6)
 _LEAST_SHARE = 1e-6
+_LEAST, _MOST = 1e-9, 1e6
+"""Of speeds, accelerations, times and radii: beyond any motion, and far from what floats cannot hold."""
 
 
 def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
@@ -56,7 +57,7 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
 
     def joints_of(target: Value, what: str) -> list[float]:
         """Joint angles of a target that is a list of them, or a pose."""
-        numbers = _finite(target, what)
+        numbers = quantities(target, 6, what)
         if type(target) is not Pose:
             return numbers
         try:
@@ -66,7 +67,7 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
 
     def pose_of(target: Value, what: str) -> list[float]:
         """Pose of a target that is one, or a list of joint angles."""
-        numbers = _finite(target, what)
+        numbers = quantities(target, 6, what)
         return numbers if type(target) is Pose else plant.tcp_pose_of(numbers)
 
     def movej(q: Value, a: Value = 1.4, v: Value = 1.05, t: Value = 0, r: Value = 0) -> Wait:
@@ -110,7 +111,7 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
     def servoj(
         q: Value, a: Value = 0, v: Value = 0, t: Value = TICK_S, lookahead_time: Value = 0.1, gain: Value = 300
     ) -> Wait:
-        target = _finite(q, "q")
+        target = quantities(q, 6, "q")
         time_s = _not_negative(t, "t")
         lookahead_s = _between(lookahead_time, 0.03, 0.2, "lookahead_time")
         stiffness = _between(gain, 100.0, 2000.0, "gain")
@@ -122,12 +123,12 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
         return (yield from moving(lambda: motion.servoc(target, *limits)))
 
     def speedj(qd: Value, a: Value, t: Value = 0) -> Wait:
-        speeds = _finite(qd, "qd")
+        speeds = quantities(qd, 6, "qd")
         limits = _positive(a, "a"), _not_negative(t, "t")
         return (yield from moving(lambda: motion.speedj(speeds, *limits)))
 
     def speedl(xd: Value, a: Value, t: Value = 0, aRot: Value = "a") -> Wait:  # noqa: N803 - the manual's name
-        twist = _finite(xd, "xd")
+        twist = quantities(xd, 6, "xd")
         acceleration, time_s = _positive(a, "a"), _not_negative(t, "t")
         turning = acceleration if aRot == "a" else _positive(aRot, "aRot")
         return (yield from moving(lambda: motion.speedl(twist, acceleration, time_s, turning)))
@@ -154,13 +155,13 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
         kind = integer(type_, "type")
         if kind not in (1, 2, 3):
             raise ScriptRuntimeError(f"force_mode: type must be 1, 2 or 3, not {kind}")
-        largest = _finite(limits, "limits")
+        largest = quantities(limits, 6, "limits")
         if min(largest) < 0.0:
             raise ScriptRuntimeError("force_mode: limits must not be negative")
         motion.force(
-            _finite(task_frame, "task_frame"),
+            quantities(task_frame, 6, "task_frame"),
             [item == 1.0 for item in selection],
-            _finite(wrench, "wrench"),
+            quantities(wrench, 6, "wrench"),
             kind,
             largest,
         )
@@ -176,7 +177,7 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
         motion.freedrive(axes, _feature(motion, feature))
 
     def tool_contact(direction: Value) -> int:
-        return motion.memory.touched(np.array(_finite(direction, "direction")[:3]))
+        return motion.memory.touched(np.array(quantities(direction, 6, "direction")[:3]))
 
     def get_actual_joint_positions_history(steps: Value = 0) -> list[float]:
         past = motion.memory.joints(integer(steps, "steps"))
@@ -226,15 +227,7 @@ def _feature(motion: Motion, feature: Value) -> list[float]:
     if feature == "tool":
         return motion.target_tcp_pose()
     pose(feature, "feature")
-    return _finite(feature, "feature")
-
-
-def _finite(value: Value, what: str) -> list[float]:
-    """`value` as a list of 6 floats that the arm can do something with."""
-    result = vector(value, 6, what)
-    if not math.isfinite(sum(result)):
-        raise ScriptRuntimeError(f"{what} must hold finite numbers only, not {result}")
-    return result
+    return quantities(feature, 6, "feature")
 
 
 def _list(value: Value, what: str) -> list[Value]:
@@ -253,15 +246,15 @@ def _speeds(a: Value, v: Value, t: Value) -> tuple[float, float, float]:
 
 def _positive(value: Value, what: str) -> float:
     result = number(value, what)
-    if not 0.0 < result < math.inf:
-        raise ScriptRuntimeError(f"{what} must be larger than 0, not {result}")
+    if not _LEAST <= result <= _MOST:
+        raise ScriptRuntimeError(f"{what} must be larger than 0 and no more than {_MOST:.0f}, not {result}")
     return result
 
 
 def _not_negative(value: Value, what: str) -> float:
     result = number(value, what)
-    if not 0.0 <= result < math.inf:
-        raise ScriptRuntimeError(f"{what} must not be negative, not {result}")
+    if not 0.0 <= result <= _MOST:
+        raise ScriptRuntimeError(f"{what} must lie in 0 … {_MOST:.0f}, not {result}")
     return result
 
 

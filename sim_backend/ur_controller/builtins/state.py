@@ -10,15 +10,22 @@ from sim_backend.ur_controller.events import Popup, Text
 from sim_backend.ur_controller.safety import ASKED_BY_PROGRAM
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Struct
 from sim_backend.ur_controller.script.budget import BUDGET
-from sim_backend.ur_controller.script.values import Value, integer, number, pose, text, truth, vector
+from sim_backend.ur_controller.script.values import (
+    LARGEST_QUANTITY,
+    Value,
+    integer,
+    number,
+    pose,
+    quantities,
+    text,
+    truth,
+)
 
 if TYPE_CHECKING:
     from sim_backend.ur_controller.controller import Controller
 
 _KEPT: list[float] = []
 """Default of a vector that stays as it is."""
-_LARGEST = 1e3
-"""Of any number that the arm's dynamics are computed from, in kg, m and rad: farther than any arm, and no overflow."""
 _CONFIGURING_COST = 150
 """Operations that a change of TCP or payload counts for beyond those of any call."""
 
@@ -80,7 +87,7 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
 
     def set_tcp(pose_: Value) -> None:
         BUDGET.take(_CONFIGURING_COST)
-        plant.set_tcp(_moderate(pose(pose_, "pose"), "pose"))
+        plant.set_tcp(quantities(pose(pose_, "pose"), 6, "pose"))
 
     def get_tcp_offset() -> Pose:
         return Pose(plant.tcp_offset)
@@ -120,7 +127,7 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
         return list(plant.payload_inertia)
 
     def set_gravity(d: Value) -> None:
-        x, y, z = _moderate(vector(d, 3, "d"), "d")
+        x, y, z = quantities(d, 3, "d")
         controller.gravity = (x, y, z)
 
     def zero_ftsensor() -> None:
@@ -201,16 +208,10 @@ def state_builtins(controller: "Controller") -> dict[str, Builtin]:
 
 def _mass(value: Value) -> float:
     mass = number(value, "mass")
-    if not 0.0 <= mass <= _LARGEST:
-        raise ScriptRuntimeError(f"a mass must lie in 0 … {_LARGEST:.0f} kg, not {mass}")
+    if not 0.0 <= mass <= LARGEST_QUANTITY:
+        raise ScriptRuntimeError(f"a mass must lie in 0 … {LARGEST_QUANTITY:.0f} kg, not {mass}")
     return mass
 
 
 def _vector(value: Value, kept: Sequence[float], what: str) -> Sequence[float]:
-    return _moderate(vector(value, len(kept), what), what) if value else kept
-
-
-def _moderate(values: Sequence[float], what: str) -> Sequence[float]:
-    if all(abs(value) <= _LARGEST for value in values):
-        return values
-    raise ScriptRuntimeError(f"{what} must hold numbers up to {_LARGEST:.0f}, not {list(values)}")
+    return quantities(value, len(kept), what) if value else kept

@@ -160,14 +160,13 @@ class Motion:
         self._rest_ticks = 0
         try:
             self._step(mover)
-        except CannotMove as error:
+            if mover is not None and mover is self._mover and mover.done:
+                self._mover = None
+                if self._queued is not None:
+                    queued, self._queued = self._queued, None
+                    self._mover = queued()
+        except (CannotMove, ValueError) as error:  # ValueError: from where it has come to rest there is no such arc
             self._fail(str(error))
-            return
-        if mover is not None and mover is self._mover and mover.done:
-            self._mover = None
-            if self._queued is not None:
-                queued, self._queued = self._queued, None
-                self._mover = queued()
 
     def movej(self, target: Sequence[float], a: float, v: float, t: float, r: float) -> None:
         """Start a straight move in joint space to `target` (6,) rad: rad/s², rad/s, s, blend radius m."""

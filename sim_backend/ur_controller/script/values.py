@@ -18,6 +18,8 @@ LEAST_INT, LARGEST_INT = -(2**31), 2**31 - 1
 LONGEST_TEXT = 1_023
 """Characters, as the script manual limits what str_cat and to_str give."""
 LARGEST_LIST = 4_096
+LARGEST_QUANTITY = 1e3
+"""Of what the arm's motion and dynamics are computed from, SI units and rad: beyond any arm, far from overflow."""
 DEEPEST_VALUE = 4
 
 
@@ -138,6 +140,18 @@ def vector(value: Value, length: int, what: str) -> list[float]:
             return list(value)
         return [number(item, f"{what}[{index}]") for index, item in enumerate(value)]
     raise ScriptRuntimeError(f"Type error: {what} must be a list of {length} numbers, not {text_of_kind(value)}")
+
+
+def quantities(value: Value, length: int, what: str) -> list[float]:
+    """`value` as by `vector`, of numbers that the arm can do something with.
+
+    Raises:
+        ScriptRuntimeError: It is no such list, or holds one beyond `LARGEST_QUANTITY` or none at all, such as NaN.
+    """
+    numbers = vector(value, length, what)
+    if all(-LARGEST_QUANTITY <= item <= LARGEST_QUANTITY for item in numbers):
+        return numbers
+    raise ScriptRuntimeError(f"{what} must hold finite numbers up to {LARGEST_QUANTITY:.0f} only, not {numbers}")
 
 
 def pose(value: Value, what: str) -> list[float]:

@@ -303,7 +303,7 @@ write_output_boolean_register(66, is_steady())
     ("body", "text"),
     [
         (f"movel({LEVEL}, v=0)", "v must be larger than 0"),
-        (f"movel({LEVEL}, r=-0.1)", "r must not be negative"),
+        (f"movel({LEVEL}, r=-0.1)", "r must lie in 0 …"),
         ("movej([0, 1, 2])", "q must be a list of 6 numbers"),
         ("speedl([0, 0, 0.1, 0, 0, 0], -1, 0.1)", "a must be larger than 0"),
         ("servoj([0, 0, 0, 0, 0, 0], gain=5)", "gain must be from 100.0 to 2000.0"),
@@ -313,6 +313,10 @@ write_output_boolean_register(66, is_steady())
         (f"movec({LEVEL}, {LEVEL})", "one line"),
         ("movej(p[10, 0, 0, 0, 0, 0])", NO_SOLUTION),
         ("get_actual_joint_positions_history(100000)", "beyond its buffer"),
+        ("movej([0, -1, 1, 0, 1, 0], t=1e200)", "t must lie in 0 …"),
+        ("movej([0, -1, 1, 0, 1, 0], a=5e-324)", "a must be larger than 0"),
+        ("force_mode(p[0,0,0,0,0,0], [0,0,0,0,0,1], [0,0,0,0,0,1e308], 2, [1,1,1,1,1,1])", "numbers up to 1000"),
+        ("force_mode(p[0,0,0,0,0,0], [0,0,0,0,0,1], [0,0,0,0,0,1], 2, [1,1,1,1,1,1e308])", "numbers up to 1000"),
     ],
 )
 def test_bad_arguments_end_the_program_and_nothing_moves(bench, body: str, text: str):
@@ -321,6 +325,13 @@ def test_bad_arguments_end_the_program_and_nothing_moves(bench, body: str, text:
     bench.run(20)
     assert np.abs(bench.plant.q - start).max() < 1e-5
     assert bench.controller.safety_mode is SafetyMode.NORMAL
+
+
+def test_an_arc_that_does_not_exist_from_where_the_arm_comes_to_rest_is_a_protective_stop(bench):
+    bench.program("speedl([0.05, 0, 0, 0, 0, 0], 1, 0.2)\np = get_target_tcp_pose()\nmovec(p, p)")
+    bench.until(lambda: bench.of(events.ProgramStopped))
+    assert bench.controller.safety_mode is SafetyMode.PROTECTIVE_STOP
+    assert "one line" in bench.of(events.SafetyChanged)[0].reason
 
 
 def test_what_is_not_a_number_does_not_reach_the_arm(bench):
