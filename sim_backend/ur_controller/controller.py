@@ -137,6 +137,11 @@ class Controller:
     # --- what clients see and write ---
 
     @property
+    def takes_commands(self) -> bool:
+        """Whether the network may command: in remote control, or where that function is switched off."""
+        return self.remote_control or not self.remote_control_enabled
+
+    @property
     def robot_mode(self) -> RobotMode:
         return self.safety.robot_mode
 

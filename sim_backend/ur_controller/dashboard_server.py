@@ -102,7 +102,7 @@ class DashboardService:
     def on_connect(self, connection: Connection) -> None:
         """Greet."""
         self._lines[connection] = bytearray()
-        self._was_remote[connection] = self._is_remote
+        self._was_remote[connection] = self._controller.takes_commands
         _reply(connection, BANNER)
 
     def on_data(self, connection: Connection, data: bytes) -> None:
@@ -132,7 +132,8 @@ class DashboardService:
                 connection.close()
                 return
             if command:
-                _reply(connection, self.answer(command, may_command=self._was_remote[connection] and self._is_remote))
+                may_command = self._was_remote[connection] and self._controller.takes_commands
+                _reply(connection, self.answer(command, may_command=may_command))
 
     def answer(self, command: str, *, may_command: bool = True) -> str:
         """Carry out one command.
@@ -264,11 +265,6 @@ class DashboardService:
     @property
     def _version(self) -> str:
         return ".".join(str(part) for part in self._controller.versions)
-
-    @property
-    def _is_remote(self) -> bool:
-        """With the function switched off in the settings, the robot takes commands from the pendant and the network."""
-        return self._controller.remote_control or not self._controller.remote_control_enabled
 
     def _doing(self, action: Callable[[], None], reply: str) -> Callable[[str], str]:
         def run(_: str) -> str:

@@ -19,7 +19,7 @@ from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Event, Refused
 from sim_backend.ur_controller.listener import Connection
 from sim_backend.ur_controller.program_reader import ProgramReader, ProgramTooLongError
-from sim_backend.ur_controller.safety import ASKED_BY_PROGRAM, RobotMode, RuntimeState, SafetyMode
+from sim_backend.ur_controller.safety import ASKED_BY_PROGRAM, EMERGENCIES, RobotMode, RuntimeState, SafetyMode
 
 Kind = Literal["primary", "secondary", "realtime"]
 
@@ -32,8 +32,6 @@ _PROGRAMS_PER_TICK = 2
 _MOST_WAITING = 256
 _SILENT_TICKS = 2  # of a new connection: in between, what it had sent before it was accepted is read
 _STATE_TICKS = round(1.0 / (STATE_HZ * TICK_S))
-_EMERGENCIES = (SafetyMode.SYSTEM_EMERGENCY_STOP, SafetyMode.ROBOT_EMERGENCY_STOP)
-
 _SLOWEST_ACCELERATION = 40.0  # rad/s², as a UR reports it
 _CONFIGURATION = state.Configuration(
     joint_position_limits=tuple(
@@ -51,7 +49,7 @@ _CONFIGURATION = state.Configuration(
     theta=(0.0,) * 6,
     masterboard_version=6,
     controller_box_type=4,
-    robot_type=3,
+    robot_type=Controller.robot_type,
     robot_sub_type=1,
 )
 _KINEMATICS = state.Kinematics(
@@ -101,7 +99,7 @@ class PrimaryService:
         """Hear it out first: a client may be gone after its program, and sending to it would lose what it has sent."""
         connection.patient = True  # a client that uploads scripts only may never read
         self._readers[connection] = ProgramReader()
-        self._writable[connection] = self._is_remote
+        self._writable[connection] = self._controller.takes_commands
         self._silent[connection] = _SILENT_TICKS
 
     def on_data(self, connection: Connection, data: bytes) -> None:
@@ -149,13 +147,9 @@ class PrimaryService:
 
     # --- commands ---------------------------------------------------------------------------------------------------
 
-    @property
-    def _is_remote(self) -> bool:
-        return self._controller.remote_control or not self._controller.remote_control_enabled
-
     def _take(self, connection: Connection, program: str) -> None:
         """Run a program, or let it wait for its turn: the tick keeps its time."""
-        if not (self._is_remote and self._writable[connection]):
+        if not (self._controller.takes_commands and self._writable[connection]):
             text = "The connection is read-only: it was opened, or the robot is, in local control"
             self._complain(connection, ErrorCode(ErrorCode.READ_ONLY, 0, ReportLevel.VIOLATION, text))
         elif len(self._waiting) >= _MOST_WAITING:
@@ -213,14 +207,14 @@ class PrimaryService:
     # --- states -----------------------------------------------------------------------------------------------------
 
     def _state(self) -> bytes:
-        controller, get = self._controller, self._get
+        controller, terminals, get = self._controller, self._controller.terminals, self._get
         vectors: list[Sequence[Any]] = [get[name]() for name in _JOINT_OUTPUTS]
         mode = state.RobotMode(
             timestamp_us=self._time_us,
             is_real_robot_connected=True,
             is_real_robot_enabled=True,
             is_power_on=controller.robot_mode >= RobotMode.POWER_ON,
-            is_emergency_stopped=controller.safety_mode in _EMERGENCIES,
+            is_emergency_stopped=controller.safety_mode in EMERGENCIES,
             is_protective_stopped=controller.safety_mode is SafetyMode.PROTECTIVE_STOP,
             is_program_running=controller.runtime_state in (RuntimeState.PLAYING, RuntimeState.RESUMING),
             is_program_paused=controller.runtime_state in (RuntimeState.PAUSING, RuntimeState.PAUSED),
@@ -232,15 +226,15 @@ class PrimaryService:
         masterboard = state.Masterboard(
             digital_inputs=get["actual_digital_input_bits"]() & 0xFFFFFFFF,
             digital_outputs=get["actual_digital_output_bits"]() & 0xFFFFFFFF,
-            analog_input_range_0=1,
-            analog_input_range_1=1,
+            analog_input_range_0=terminals.analog_input_domains[0],
+            analog_input_range_1=terminals.analog_input_domains[1],
             analog_input_0=get["standard_analog_input0"](),
             analog_input_1=get["standard_analog_input1"](),
-            analog_output_domain_0=1,
-            analog_output_domain_1=1,
+            analog_output_domain_0=terminals.analog_output_domains[0],
+            analog_output_domain_1=terminals.analog_output_domains[1],
             analog_output_0=get["standard_analog_output0"](),
             analog_output_1=get["standard_analog_output1"](),
-            temperature=25.0,
+            temperature=controller.temperature_c,
             robot_voltage=get["actual_robot_voltage"](),
             robot_current=get["actual_robot_current"](),
             io_current=get["io_current"](),
@@ -248,9 +242,17 @@ class PrimaryService:
             is_reduced=controller.safety_mode is SafetyMode.REDUCED,
         )
         cartesian = state.Cartesian(tuple(get["actual_TCP_pose"]()), tuple(get["tcp_offset"]()))
+        tool = state.Tool(
+            analog_range_2=terminals.analog_input_domains[2],
+            analog_range_3=terminals.analog_input_domains[3],
+            analog_2=terminals.analog_inputs[2],
+            analog_3=terminals.analog_inputs[3],
+            output_voltage=terminals.tool_voltage,
+            temperature=controller.temperature_c,
+        )
         force = state.ForceMode(tuple(get["actual_TCP_force"]()))
         parts = (
-            *(mode, joints, cartesian, _KINEMATICS, masterboard, state.Tool(), _CONFIGURATION, force),
+            *(mode, joints, cartesian, _KINEMATICS, masterboard, tool, _CONFIGURATION, force),
             *(state.Additional(), state.ToolCommunication(), state.ToolMode()),
         )
         return frame(PackageType.ROBOT_STATE, state.encode_state(parts))

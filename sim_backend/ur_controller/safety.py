@@ -51,8 +51,8 @@ class RuntimeState(IntEnum):
     RESUMING = 5
 
 
-_EMERGENCIES = (SafetyMode.SYSTEM_EMERGENCY_STOP, SafetyMode.ROBOT_EMERGENCY_STOP)
-_UNPOWERED = (*_EMERGENCIES, SafetyMode.VIOLATION, SafetyMode.FAULT)
+EMERGENCIES = (SafetyMode.SYSTEM_EMERGENCY_STOP, SafetyMode.ROBOT_EMERGENCY_STOP)
+_UNPOWERED = (*EMERGENCIES, SafetyMode.VIOLATION, SafetyMode.FAULT)
 _MODE_BIT = {
     SafetyMode.NORMAL: 1 << 0,
     SafetyMode.REDUCED: 1 << 1,
@@ -150,7 +150,7 @@ class Safety:
 
     def press_emergency_stop(self, *, system: bool = False) -> None:
         """Press the emergency stop, the robot's own or the system's; the joints lose their power."""
-        self._add(_EMERGENCIES[not system], "emergency stop")
+        self._add(EMERGENCIES[not system], "emergency stop")
         self.power_off()
 
     def release_emergency_stop(self) -> None:

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, fields
 from typing import Protocol
 
+from sim_backend.protocol.primary import packages, realtime
+from sim_backend.protocol.rtde import messages
 from sim_backend.protocol.wire import TICK_S
 from sim_backend.realtime import Metronome, freeze_garbage, has_realtime_scheduling
 from sim_backend.ur_controller.controller import Controller
@@ -17,11 +19,11 @@ from sim_backend.ur_controller.rtde_server import RtdeService
 class Ports:
     """TCP ports, as an e-Series controller and a gripper's URCap have them; 0 takes a free one."""
 
-    rtde: int = 30004
+    rtde: int = messages.PORT
     dashboard: int = 29999
-    primary: int = 30001
-    secondary: int = 30002
-    realtime: int = 30003
+    primary: int = packages.PORT
+    secondary: int = packages.SECONDARY_PORT
+    realtime: int = realtime.PORT
     gripper: int = 63352
 
 

@@ -201,6 +201,18 @@ def test_a_secondary_program_runs_beside_the_main_one(primary: Client, controlle
     assert masterboard.digital_outputs & 0b100
 
 
+def test_a_state_tells_what_the_terminals_are_set_to(primary: Client, controller: Controller) -> None:
+    primary.send(b"set_analog_outputdomain(1, 1)\n", b"set_standard_analog_out(1, 0.5)\n", b"set_tool_voltage(24)\n")
+    primary.run(0.3)
+
+    masterboard, tool = primary.states[-1][state.Masterboard], primary.states[-1][state.Tool]
+    assert isinstance(masterboard, state.Masterboard)
+    assert isinstance(tool, state.Tool)
+    assert (masterboard.analog_output_domain_0, masterboard.analog_output_domain_1) == (0, 1)
+    assert masterboard.analog_output_1 == 5.0
+    assert tool.output_voltage == 24
+
+
 def test_an_unknown_name_is_reported_with_its_place(primary: Client) -> None:
     primary.send(b"def illegal_fun():\n  calldoesntexist()\nend\n")
     primary.run(0.1)
