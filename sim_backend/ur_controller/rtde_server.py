@@ -180,7 +180,12 @@ class RtdeService:
             self._tell(client, Level.ERROR, f"Input recipe {number} has not been set up, its data are ignored")
             return
         recipe = client.inputs[payload[0] - 1]
-        self._controller.apply_inputs(recipe.names, recipe.decode(payload))
+        try:
+            values = recipe.decode(payload)
+        except PackageError as error:  # the frames are still in step: ur_rtde 1.6.5 misnumbers one of its recipes
+            self._tell(client, Level.ERROR, f"Ignored: {error}")
+            return
+        self._controller.apply_inputs(recipe.names, values)
 
     def _take_text(self, _client: _Client, payload: bytes) -> None:
         """A client's message for PolyScope's log, which nobody reads here; it must be one all the same."""

@@ -2,6 +2,7 @@
 
 import time
 from itertools import pairwise
+from pathlib import Path as FilePath
 
 import numpy as np
 import numpy.typing as npt
@@ -315,6 +316,45 @@ def test_a_function_of_the_users_own_runs_on_the_controller(
     assert until(lambda: robot.get("output_registers.ints")[13] == 42)
     assert until(lambda: receive.getOutputIntRegister(13) == 42)
     start = robot.truth().q
+    assert control.moveJ(plus(start, 0, 0, 0, 0, 0, 0.1), 1.0, 2.0)
+    assert robot.truth().q[5] - start[5] == pytest.approx(0.1, abs=2e-3)
+
+
+def test_a_script_file_of_the_users_own_moves_the_arm(
+    robot: EmulatedRobot, control: RTDEControlInterface, tmp_path: FilePath
+) -> None:
+    """The client waits for 2 in output register 0, and uploads its own script again."""
+    script = tmp_path / "turn.script"
+    script.write_text(
+        "def turn():\n"
+        "  local q = get_actual_joint_positions()\n"
+        "  q[5] = q[5] + 0.15\n"
+        "  movej(q, a=2, v=1)\n"
+        "  write_output_integer_register(0, 2)\n"
+        "end\n"
+    )
+    start = robot.truth().q
+    assert control.sendCustomScriptFile(str(script))
+    assert until(lambda: abs(robot.truth().q[5] - start[5] - 0.15) < 2e-3)
+    assert control.isProgramRunning()
+
+
+def test_settings_reach_the_controller(robot: EmulatedRobot, control: RTDEControlInterface) -> None:
+    assert control.forceModeSetDamping(0.1)
+    assert control.forceModeSetGainScaling(1.5)
+    assert robot.get("motion.force_damping") == pytest.approx(0.1)
+    assert robot.get("motion.force_gain") == pytest.approx(1.5)
+    assert control.setGravity([0.0, 0.0, 9.5])
+    assert robot.get("gravity") == [0.0, 0.0, 9.5]
+    assert control.setGravity([0.0, 0.0, 9.82])
+
+
+def test_a_package_that_does_not_fit_its_recipe_does_no_harm(
+    robot: EmulatedRobot, control: RTDEControlInterface
+) -> None:
+    """This version of the client sends the external wrench under the number of another recipe."""
+    start = robot.truth().q
+    assert control.setExternalForceTorque([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     assert control.moveJ(plus(start, 0, 0, 0, 0, 0, 0.1), 1.0, 2.0)
     assert robot.truth().q[5] - start[5] == pytest.approx(0.1, abs=2e-3)
 
