@@ -12,11 +12,11 @@ from service.config import CellConfig
 from service.drivers.ur import registers
 from service.drivers.ur.program import render
 from service.drivers.ur.registers import Command
+from sim_backend.protocol.rtde.modes import RuntimeState
 from sim_backend.protocol.task import Task
 from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.plant import Plant
-from sim_backend.ur_controller.safety import RuntimeState
 from sim_backend.world import World
 
 BESIDE_M = 0.045

@@ -16,8 +16,8 @@ import numpy as np
 
 from benchmarks.pressed_arm import ContactForce
 from sim_backend import __main__ as command
+from sim_backend.protocol.rtde.modes import RuntimeState
 from sim_backend.ur_controller.controller import Controller
-from sim_backend.ur_controller.safety import RuntimeState
 
 CONTACT = "contact"
 PRESSING_N, FREE_N = 3.0, 0.5

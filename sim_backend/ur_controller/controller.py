@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sim_backend.arm import PROTECTIVE_ERROR_RAD, PROTECTIVE_FORCE_N
+from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState, SafetyMode
 from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.builtins import standard_table
 from sim_backend.ur_controller.builtins.sockets import Sockets
@@ -29,14 +30,7 @@ from sim_backend.ur_controller.interpreter import Interpreter
 from sim_backend.ur_controller.motion import Motion
 from sim_backend.ur_controller.outputs import TEMPERATURE_C, Outputs
 from sim_backend.ur_controller.plant import Plant
-from sim_backend.ur_controller.safety import (
-    UNLOCK_TOO_EARLY,
-    Durations,
-    RobotMode,
-    RuntimeState,
-    Safety,
-    SafetyMode,
-)
+from sim_backend.ur_controller.safety import UNLOCK_TOO_EARLY, Durations, Safety
 from sim_backend.ur_controller.script import Builtin, CompileError, Execution, compile_source
 from sim_backend.ur_controller.terminals import Terminals
 

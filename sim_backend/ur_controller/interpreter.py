@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
+from sim_backend.protocol.rtde.modes import RuntimeState
 from sim_backend.ur_controller.events import Event, ProgramStarted, ProgramStopped, Refused, RuntimeFailed
 from sim_backend.ur_controller.motion import Motion
-from sim_backend.ur_controller.safety import RuntimeState
 from sim_backend.ur_controller.script import Compiled, Execution, State
 
 MOST_SECONDARIES = 16

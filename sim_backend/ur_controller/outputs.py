@@ -13,9 +13,9 @@ import numpy as np
 from sim_backend.arm import PROTECTIVE_ERROR_RAD, PROTECTIVE_FORCE_N
 from sim_backend.kinematics import UR3E
 from sim_backend.protocol.rtde.fields import BIT_REGISTERS, DOUBLE_REGISTERS, INT_REGISTERS
+from sim_backend.protocol.rtde.modes import RobotMode
 from sim_backend.ur_controller.geometry import jacobian_of
 from sim_backend.ur_controller.inputs import Registers
-from sim_backend.ur_controller.safety import RobotMode
 from sim_backend.ur_controller.terminals import CONFIGURABLE
 
 if TYPE_CHECKING:

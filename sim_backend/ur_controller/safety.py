@@ -1,12 +1,12 @@
-"""Power, brakes and safety modes of an e-Series robot; numbers are those of UR's RTDE guide.
+"""Power, brakes and safety modes of an e-Series robot.
 
 The emulation of a robot's safety functions is a model of how they look on the network. It protects nothing.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
 
+from sim_backend.protocol.rtde.modes import RobotMode, SafetyMode
 from sim_backend.protocol.wire import TICK_S
 
 UNLOCK_AFTER_S = 5.0
@@ -16,39 +16,6 @@ UNLOCK_TOO_EARLY = (
 )
 ASKED_BY_PROGRAM = "the program has asked for it"
 """Reason of a protective stop that a script has called for; clients get another error code for it."""
-
-
-class RobotMode(IntEnum):
-    NO_CONTROLLER = -1
-    DISCONNECTED = 0
-    CONFIRM_SAFETY = 1
-    BOOTING = 2
-    POWER_OFF = 3
-    POWER_ON = 4
-    IDLE = 5
-    BACKDRIVE = 6
-    RUNNING = 7
-
-
-class SafetyMode(IntEnum):
-    NORMAL = 1
-    REDUCED = 2
-    PROTECTIVE_STOP = 3
-    RECOVERY = 4
-    SAFEGUARD_STOP = 5
-    SYSTEM_EMERGENCY_STOP = 6
-    ROBOT_EMERGENCY_STOP = 7
-    VIOLATION = 8
-    FAULT = 9
-
-
-class RuntimeState(IntEnum):
-    STOPPING = 0
-    STOPPED = 1
-    PLAYING = 2
-    PAUSING = 3
-    PAUSED = 4
-    RESUMING = 5
 
 
 EMERGENCIES = (SafetyMode.SYSTEM_EMERGENCY_STOP, SafetyMode.ROBOT_EMERGENCY_STOP)

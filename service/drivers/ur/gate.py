@@ -5,7 +5,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 from math import hypot
 
 import numpy as np
@@ -15,8 +15,9 @@ from service.drivers.base import Array, DriverError
 from service.drivers.ur.dashboard import DashboardError
 from service.drivers.ur.link import UrLink
 from service.drivers.ur.recovery import dashboard
-from service.drivers.ur.samples import ROBOT_MODE_RUNNING, SAFETY_MODE_NORMAL, Package, SampleReader
+from service.drivers.ur.samples import Package, SampleReader
 from service.faults import FaultCode
+from sim_backend.protocol.rtde.modes import RobotMode, SafetyMode
 
 MIN_VERSION = (5, 10, 0)
 """PolyScope 5 with `set_target_payload` and `ft_raw_wrench`."""
@@ -35,29 +36,6 @@ CONFIGURED_S = 1.0
 UNSAFE = frozenset({"PolyScope", "registers", "payload", "TCP", "watchdog"})
 """Checks without which a cell is not connected at all. The others are an operator's to put right, with the arm's
 samples in view, and keep a run from starting."""
-
-_ROBOT_MODES = {
-    -1: "NO_CONTROLLER",
-    0: "DISCONNECTED",
-    1: "CONFIRM_SAFETY",
-    2: "BOOTING",
-    3: "POWER_OFF",
-    4: "POWER_ON",
-    5: "IDLE",
-    6: "BACKDRIVE",
-    7: "RUNNING",
-}
-_SAFETY_MODES = {
-    1: "NORMAL",
-    2: "REDUCED",
-    3: "PROTECTIVE_STOP",
-    4: "RECOVERY",
-    5: "SAFEGUARD_STOP",
-    6: "SYSTEM_EMERGENCY_STOP",
-    7: "ROBOT_EMERGENCY_STOP",
-    8: "VIOLATION",
-    9: "FAULT",
-}
 
 
 class Verdict(StrEnum):
@@ -210,15 +188,15 @@ def _judge_arm(facts: Facts) -> Iterator[Check]:
     package = facts.package
     yield _check(
         "safety mode",
-        None if package is None else _SAFETY_MODES.get(package.safety_mode, str(package.safety_mode)),
-        package is not None and package.safety_mode == SAFETY_MODE_NORMAL,
+        None if package is None else _name(SafetyMode, package.safety_mode),
+        package is not None and package.safety_mode == SafetyMode.NORMAL,
         "NORMAL",
         "inspect the cell; after a protective stop `python -m service ur unlock`, else see the pendant",
     )
     yield _check(
         "robot mode",
-        None if package is None else _ROBOT_MODES.get(package.robot_mode, str(package.robot_mode)),
-        package is not None and package.robot_mode == ROBOT_MODE_RUNNING,
+        None if package is None else _name(RobotMode, package.robot_mode),
+        package is not None and package.robot_mode == RobotMode.RUNNING,
         "RUNNING",
         "`python -m service ur power-on`, or switch on at the pendant and release the brakes",
     )
@@ -311,6 +289,13 @@ def _check(name: str, found: str | None, good: bool, wanted: str, remedy: str) -
     if good:
         return Check(name, f"{found} ({wanted})", Verdict.PASSED)
     return Check(name, f"{found}, wanted {wanted}", Verdict.FAILED, remedy)
+
+
+def _name(modes: type[IntEnum], number: int) -> str:
+    try:
+        return modes(number).name
+    except ValueError:
+        return str(number)
 
 
 def _distance(a: tuple[float, ...], b: tuple[float, ...]) -> float:

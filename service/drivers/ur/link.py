@@ -13,8 +13,6 @@ from service.drivers.ur.program import ControlProgram
 from service.drivers.ur.rtde import RtdeClient
 from service.drivers.ur.samples import (
     OUTPUTS,
-    RUNTIME_PLAYING,
-    RUNTIME_STOPPED,
     ArrivalClock,
     Package,
     ProgramWatch,
@@ -23,6 +21,7 @@ from service.drivers.ur.script_upload import UploadError, upload
 from service.faults import FaultCode
 from sim_backend.protocol.rtde.codec import Decoded
 from sim_backend.protocol.rtde.errors import Reason, RtdeError
+from sim_backend.protocol.rtde.modes import RuntimeState
 from sim_backend.protocol.wire import Program
 
 Mode = Literal["real_time", "lockstep"]
@@ -179,7 +178,7 @@ class UrLink:
         if self.watch.running or await self._is_alive():
             return
         package = self.newest
-        if package.runtime_state != RUNTIME_STOPPED:
+        if package.runtime_state != RuntimeState.STOPPED:
             text = "another program runs or is paused on the controller: stop it on the pendant, then try again"
             raise DriverError(FaultCode.AUTHORITY, text)
         self.outbox.begin(package.handled)
@@ -209,10 +208,10 @@ class UrLink:
         begun_s = self.newest.time_s
         self._mute = True
         try:
-            ended = await self.until(lambda package: package.runtime_state != RUNTIME_PLAYING, limit_s)
+            ended = await self.until(lambda package: package.runtime_state != RuntimeState.PLAYING, limit_s)
             took_s = self.newest.time_s - begun_s
             if ended:
-                await self.until(lambda package: package.runtime_state == RUNTIME_STOPPED, limit_s)
+                await self.until(lambda package: package.runtime_state == RuntimeState.STOPPED, limit_s)
         finally:
             self._mute = False
         return took_s if ended else None
@@ -220,7 +219,7 @@ class UrLink:
     async def _is_alive(self) -> bool:
         """On a fresh connection the counter must be seen to move before the program is believed to run."""
         package = self.newest
-        if package.runtime_state != RUNTIME_PLAYING or package.crc != self._program.crc:
+        if package.runtime_state != RuntimeState.PLAYING or package.crc != self._program.crc:
             return False
         return await self.until(lambda _: self.watch.running, 0.1)
 

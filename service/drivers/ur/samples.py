@@ -11,14 +11,11 @@ from service.drivers.base import Array, Sample
 from service.drivers.ur import registers
 from sim_backend.protocol import pose
 from sim_backend.protocol.rtde.codec import Decoded
+from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState, SafetyMode
 from sim_backend.protocol.wire import TICK_S, Program, StopReason
 
 ALIVE_S = 0.1
 """A program whose counter stands for this long does not run. Zeroing the sensor may hold it up for some steps."""
-ROBOT_MODE_RUNNING = 7
-SAFETY_MODE_NORMAL, SAFETY_MODE_PROTECTIVE_STOP = 1, 3
-RUNTIME_STOPPED, RUNTIME_PLAYING = 1, 2
-"""UR's numbering (RTDE guide)."""
 WINDOW_S = 0.5
 """Of the least delay: it is that of one to two windows."""
 
@@ -65,7 +62,7 @@ class Package(NamedTuple):
     @property
     def is_ready(self) -> bool:
         """Whether the arm is powered, its brakes released and its safety system content."""
-        return self.robot_mode == ROBOT_MODE_RUNNING and self.safety_mode == SAFETY_MODE_NORMAL
+        return self.robot_mode == RobotMode.RUNNING and self.safety_mode == SafetyMode.NORMAL
 
 
 OUTPUTS: tuple[str, ...] = (
@@ -110,7 +107,7 @@ class ProgramWatch:
 
     def observe(self, package: Package) -> bool:
         """Take in a package; return whether the program runs."""
-        playing = package.runtime_state == RUNTIME_PLAYING and package.crc == self._crc
+        playing = package.runtime_state == RuntimeState.PLAYING and package.crc == self._crc
         if not playing:
             self._counter = None
             self.running = False
@@ -216,7 +213,7 @@ class SampleReader:
 
     @staticmethod
     def _state(package: Package, running: bool) -> tuple[Program, StopReason]:
-        if package.safety_mode == SAFETY_MODE_PROTECTIVE_STOP:
+        if package.safety_mode == SafetyMode.PROTECTIVE_STOP:
             return Program.PROTECTIVE_STOP, StopReason.PROTECTIVE_FORCE
         if not running:
             return Program.IDLE, StopReason.PROGRAM_ENDED

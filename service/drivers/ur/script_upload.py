@@ -22,12 +22,12 @@ from sim_backend.protocol.primary.messages import (
 )
 from sim_backend.protocol.primary.packages import PORT, PackageReader, PackageType
 from sim_backend.protocol.primary.state import RobotMode, decode_state
+from sim_backend.protocol.rtde import modes
 
 __all__ = ["PORT", "Reason", "UploadError", "upload"]
 
 START_TIMEOUT_S = 5.0
 _READ_BYTES = 16384
-_RUNNING = 7  # robot_mode
 _GRAVE = (ReportLevel.VIOLATION, ReportLevel.FAULT, ReportLevel.CRITICAL_FAULT)
 _DEFINITION = re.compile(r"\s*def\s+([A-Za-z_]\w*)\s*\(")
 
@@ -151,8 +151,8 @@ async def _await_running(packages: AsyncIterator[RobotMode | Message]) -> None:
             raise UploadError(Reason.NOT_RUNNING, "the arm is emergency-stopped; release, power on, release the brakes")
         if package.is_protective_stopped:
             raise UploadError(Reason.NOT_RUNNING, "the arm is in a protective stop; inspect the cause, then unlock it")
-        if package.robot_mode != _RUNNING:
-            text = f"the arm is in robot mode {package.robot_mode}, not {_RUNNING}; power it on and release the brakes"
+        if package.robot_mode != modes.RobotMode.RUNNING:
+            text = f"the arm is in robot mode {package.robot_mode}, not RUNNING; power it on and release the brakes"
             raise UploadError(Reason.NOT_RUNNING, text)
         return
 

@@ -19,7 +19,7 @@ from sim_backend.protocol.primary.messages import (
     decode_message,
 )
 from sim_backend.protocol.primary.packages import PackageReader, PackageType
-from sim_backend.ur_controller import safety
+from sim_backend.protocol.rtde import modes
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
@@ -169,7 +169,7 @@ def test_a_program_may_arrive_in_pieces_and_joined_to_the_next(primary: Client, 
         Key(PROGRAM_STOPPED, "wait"),
         Key(PROGRAM_STARTED, "second"),
     ]
-    assert controller.runtime_state is safety.RuntimeState.PLAYING
+    assert controller.runtime_state is modes.RuntimeState.PLAYING
 
 
 @pytest.mark.parametrize("port", ["primary", "secondary", "realtime"])
@@ -258,7 +258,7 @@ def test_a_protective_stop_is_unlocked_by_a_line_at_any_age(primary: Client, con
     primary.send(b"set unlock protective stop\n")
     primary.run(0.1)
     assert not primary.mode.is_protective_stopped
-    assert controller.safety_mode is safety.SafetyMode.NORMAL
+    assert controller.safety_mode is modes.SafetyMode.NORMAL
 
 
 def test_the_arm_is_powered_and_programs_are_stopped_by_lines(primary: Client) -> None:
@@ -349,7 +349,7 @@ def test_the_real_time_port_sends_every_tick(server: ControllerServer, controlle
     last = realtime.decode(data[-realtime.SIZE :])
     assert stamps == pytest.approx([controller.time_s - 0.002 * back for back in range(9, -1, -1)])
     assert last["actual_q"] == pytest.approx(controller.plant.q, abs=1e-5)
-    assert last["runtime_state"] == safety.RuntimeState.PLAYING
+    assert last["runtime_state"] == modes.RuntimeState.PLAYING
 
 
 def test_a_client_that_never_reads_can_still_send(server: ControllerServer, controller: Controller) -> None:
@@ -362,7 +362,7 @@ def test_a_client_that_never_reads_can_still_send(server: ControllerServer, cont
         for _ in range(3):
             server.step()
 
-        assert controller.runtime_state is safety.RuntimeState.PLAYING
+        assert controller.runtime_state is modes.RuntimeState.PLAYING
 
 
 def test_a_flood_of_programs_takes_its_turns_and_is_cut_off(server: ControllerServer, primary: Client) -> None:

@@ -12,12 +12,12 @@ from service.drivers.ur.program import RETRACT_SPEED_M_S, STOP_S, render
 from service.drivers.ur.registers import Command
 from sim_backend import quaternion
 from sim_backend.compliance import Law, Reference, advance
+from sim_backend.protocol.rtde.modes import RuntimeState
 from sim_backend.protocol.task import Task
 from sim_backend.protocol.wire import TICK_S, Program, StopReason
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Event
 from sim_backend.ur_controller.plant import Plant
-from sim_backend.ur_controller.safety import RuntimeState
 from sim_backend.world import World
 from tests.service.drivers.ur.cells import ur_config
 from training.design import LAW

@@ -5,8 +5,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 import pytest
 
 from service.drivers.ur.dashboard import DashboardClient, DashboardError, Reason
+from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState, SafetyMode
 from sim_backend.ur_controller.controller import Controller
-from sim_backend.ur_controller.safety import RobotMode, RuntimeState, SafetyMode
 from tests.fault_proxy import FaultProxy, chunked
 from tests.service.drivers.ur.stepped import HOST, stepped_controller
 

@@ -9,9 +9,9 @@ from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget,
 from service.drivers.ur.driver import UrDriver
 from service.drivers.ur.gate import Verdict
 from service.faults import FaultCode
+from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState, SafetyMode
 from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.controller import Controller
-from sim_backend.ur_controller.safety import RobotMode, RuntimeState, SafetyMode
 from tests.service.drivers.ur.cells import ur_config
 from tests.service.drivers.ur.emulated import Emulated, emulated
 from training.design import LAW

@@ -8,7 +8,7 @@ import pytest
 
 from service.drivers.base import Program, StopReason
 from service.faults import FaultCode
-from sim_backend.ur_controller.safety import RuntimeState
+from sim_backend.protocol.rtde.modes import RuntimeState
 from tests.fault_proxy import FaultProxy, chunked
 from tests.service.drivers.ur.emulated import Emulated, emulated
 from tests.service.drivers.ur.test_driver import engaged, step

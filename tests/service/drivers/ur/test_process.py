@@ -13,8 +13,8 @@ import pytest
 
 from service.client import CellClient
 from service.drivers.ur.rtde import RtdeClient
-from service.drivers.ur.samples import RUNTIME_PLAYING
 from service.messages import CellState, StartRequest
+from sim_backend.protocol.rtde.modes import RuntimeState
 from tests.service.drivers.ur.cells import UR
 from tests.service.sim_server import free_endpoint
 
@@ -167,13 +167,13 @@ async def test_a_control_process_that_is_killed_while_it_pushes_leaves_an_arm_th
         await client.start(StartRequest(recipe="triangle-2mm", seed=5))
         await until(lambda: client.state is CellState.RUNNING)
         await until(lambda: readings[-1].force_n > 5.0)
-        assert readings[-1].runtime_state == RUNTIME_PLAYING
+        assert readings[-1].runtime_state == RuntimeState.PLAYING
         process.kill()
         killed_s = readings[-1].time_s
         await until(lambda: readings[-1].time_s > killed_s + 1.5)
     await onlooker.close()
     after = [reading for reading in readings if reading.time_s >= killed_s]
-    ended_s = next(reading.time_s for reading in after if reading.runtime_state != RUNTIME_PLAYING)
+    ended_s = next(reading.time_s for reading in after if reading.runtime_state != RuntimeState.PLAYING)
     assert ended_s - killed_s < 0.25 + 0.5, "the watchdog's period, and what the onlooker may be late by"
     assert max(abs(speed) for reading in after if reading.time_s > ended_s + 0.3 for speed in reading.qd) < 2e-3
     assert max(reading.force_n for reading in after) < 30.0, "the ceiling"

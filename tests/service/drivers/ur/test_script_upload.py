@@ -8,8 +8,8 @@ from service.drivers.ur.script_upload import Reason, UploadError, upload
 from sim_backend.protocol.primary import messages, state
 from sim_backend.protocol.primary.messages import encode_message
 from sim_backend.protocol.primary.packages import PackageType, frame
+from sim_backend.protocol.rtde.modes import RuntimeState
 from sim_backend.ur_controller.controller import Controller
-from sim_backend.ur_controller.safety import RuntimeState
 from tests.fault_proxy import FaultProxy, Spoil, chunked, halved
 from tests.service.drivers.ur.stepped import HOST, stepped_controller
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from sim_backend.protocol.rtde.modes import SafetyMode
 from sim_backend.ur_controller import events
 from sim_backend.ur_controller.builtins.motion import ANOTHER_THREAD, NO_SOLUTION
-from sim_backend.ur_controller.safety import SafetyMode
 
 from ..contacts import pressing
 
