@@ -17,8 +17,6 @@ Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 Rotation = tuple[float, float, float, float, float, float, float, float, float]
 
-IDENTITY: Rotation = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-
 _D1, _D4, _D5, _D6 = UR3E[0].d_m, UR3E[3].d_m, UR3E[4].d_m, UR3E[5].d_m
 _A2, _A3 = UR3E[1].a_m, UR3E[2].a_m
 

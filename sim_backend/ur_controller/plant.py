@@ -16,10 +16,8 @@ from sim_backend.servo import JointServo, gains
 from sim_backend.ur_controller.geometry import (
     Rotation,
     Vector,
-    compose,
     cross,
     flange_of,
-    invert,
     jacobian_of,
     multiply,
     rotate,
@@ -224,16 +222,6 @@ class Plant:
         position, rotation = flange_of(q)
         x, y, z = rotate(rotation, self.tcp_offset[:3])
         return jacobian_of(q, (position[0] + x, position[1] + y, position[2] + z))
-
-    def inverse(self, pose: Sequence[float], q_near: Sequence[float] | Array) -> Array:
-        """Joint angles (6,) nearest to `q_near` (6,) that bring the configured TCP to `pose`.
-
-        Raises:
-            KinematicsError: no solution within the joint range.
-        """
-        flange = compose(pose, invert(self.tcp_offset))
-        rotation = np.array(rotation_of(*flange[3:])).reshape(3, 3)
-        return kinematics.inverse(np.array(flange[:3]), rotation, np.asarray(q_near, np.float64))
 
     @property
     def estimate(self) -> Array:

@@ -7,8 +7,8 @@ import numpy as np
 
 from sim_backend import kinematics
 from sim_backend.kinematics import JOINT_RANGE_RAD, KinematicsError
-from sim_backend.ur_controller.geometry import compose, invert, rotation_of
-from sim_backend.ur_controller.motion.inverse import inverse
+from sim_backend.ur_controller.geometry import compose
+from sim_backend.ur_controller.motion.inverse import inverse_at
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Value
 from sim_backend.ur_controller.script.budget import BUDGET
 from sim_backend.ur_controller.script.values import number, pose, vector
@@ -35,10 +35,9 @@ def kinematics_builtins(controller: "Controller") -> dict[str, Builtin]:
 
     def solve(x: Value, qnear: Value, tcp: Value) -> list[float] | None:
         near = plant.q.tolist() if qnear == _MEASURED else vector(qnear, 6, "qnear")
-        flange = compose(pose(x, "x"), invert(offset_of(tcp)))
         BUDGET.take(_SOLUTION_COST)
         try:
-            return inverse((flange[0], flange[1], flange[2]), rotation_of(*flange[3:]), near)
+            return inverse_at(pose(x, "x"), offset_of(tcp), near)
         except KinematicsError:
             return None
 

@@ -6,7 +6,17 @@ import numpy as np
 
 from sim_backend import kinematics
 from sim_backend.kinematics import JOINT_RANGE_RAD
-from sim_backend.ur_controller.geometry import Rotation, Vector, flange_of, multiply, rotvec_of, transpose
+from sim_backend.ur_controller.geometry import (
+    Rotation,
+    Vector,
+    compose,
+    flange_of,
+    invert,
+    multiply,
+    rotation_of,
+    rotvec_of,
+    transpose,
+)
 
 from .differential import joint_rates
 
@@ -31,6 +41,16 @@ def inverse(position: Vector, rotation: Rotation, q_near: Sequence[float]) -> li
     if q is None:
         q = kinematics.inverse(np.array(position), np.array(rotation).reshape(3, 3), np.array(q_near)).tolist()
     return q
+
+
+def inverse_at(pose: Sequence[float], offset: Sequence[float], q_near: Sequence[float]) -> list[float]:
+    """Joint angles (6,) nearest to `q_near` (6,) that bring a TCP, by its pose in the flange's frame, to a pose.
+
+    Raises:
+        KinematicsError: no solution within the joint range.
+    """
+    flange = compose(pose, invert(offset))
+    return inverse((flange[0], flange[1], flange[2]), rotation_of(*flange[3:]), q_near)
 
 
 def _newton(position: Vector, rotation: Rotation, q_near: Sequence[float]) -> list[float] | None:

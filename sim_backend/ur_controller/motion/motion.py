@@ -8,13 +8,13 @@ import numpy.typing as npt
 
 from sim_backend.kinematics import KinematicsError, singularity_margin
 from sim_backend.protocol.wire import TICK_S
-from sim_backend.ur_controller.geometry import compose, invert, multiply, rotation_of, rotvec_of, transpose
+from sim_backend.ur_controller.geometry import multiply, rotation_of, rotvec_of, transpose
 from sim_backend.ur_controller.plant import Plant
 
 from .cartesian import Arc, Line, PathMover, ServoC, SpeedL, StopL, standing
 from .contact import ContactMemory
 from .force import DEFAULT_DAMPING, DEFAULT_GAIN, ForceMode
-from .inverse import inverse
+from .inverse import inverse_at
 from .joint import JOINT_RAD_S2, MoveJ, ServoJ, SpeedJ, StopJ, blend_share, top_speed
 from .mover import JointMover, Mover, ToolMover
 from .profile import Trapezoid
@@ -319,8 +319,7 @@ class Motion:
         Raises:
             KinematicsError: there are none.
         """
-        flange = compose(pose, invert(self._plant.tcp_offset))
-        return inverse((flange[0], flange[1], flange[2]), rotation_of(*flange[3:]), self._target.q)
+        return inverse_at(pose, self._plant.tcp_offset, self._target.q)
 
     def _take(self, mover: Mover | None) -> None:
         """Let `mover` go on from the present target and speed."""

@@ -18,7 +18,7 @@ COUNT = "n = 0\nwhile True:\n  n = n + 1\n  write_output_integer_register(24, n)
 def lowered(bench, by_m):
     """Joints that bring the TCP straight down."""
     x, y, z, *turn = bench.plant.tcp_pose()
-    return bench.plant.inverse([x, y, z - by_m, *turn], bench.plant.q).tolist()
+    return bench.controller.motion.joints_at([x, y, z - by_m, *turn])
 
 
 def test_time_lies_on_the_grid_of_two_milliseconds(bench):

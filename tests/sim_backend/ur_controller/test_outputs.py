@@ -108,7 +108,7 @@ def test_force_is_given_about_the_flange_and_as_a_scalar(bench):
     bench.run(50)
     bench.finish("zero_ftsensor()")
     x, y, z, *turn = bench.plant.tcp_pose()
-    goal = bench.plant.inverse([x + 0.001, y, z - 0.0065, *turn], bench.plant.q).tolist()
+    goal = bench.controller.motion.joints_at([x + 0.001, y, z - 0.0065, *turn])
     bench.heard.clear()
     bench.finish(f"movej({goal}, t=0.5)")
     bench.run(20)

@@ -6,6 +6,7 @@ import pytest
 from sim_backend import kinematics, scene
 from sim_backend.protocol.task import Task
 from sim_backend.ur_controller.geometry import compose, invert
+from sim_backend.ur_controller.motion.inverse import inverse_at
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.world import START_POSITION_M, World
 
@@ -69,11 +70,11 @@ def test_the_twist_is_the_change_of_the_pose(plant):
 def test_the_inverse_is_the_inverse_at_the_configured_tcp(plant):
     plant.set_tcp(TOOL)
     goal = compose(plant.tcp_pose(), [0.01, 0.02, -0.01, 0.1, 0.0, -0.2])
-    q = plant.inverse(goal, plant.q)
-    reached = compose(plant.tcp_pose_of(q.tolist()), invert(goal))
+    q = inverse_at(goal, plant.tcp_offset, plant.q.tolist())
+    reached = compose(plant.tcp_pose_of(q), invert(goal))
     assert reached == pytest.approx(np.zeros(6), abs=1e-9)
     with pytest.raises(kinematics.KinematicsError):
-        plant.inverse([1.5, 0, 0, 0, 0, 0], plant.q)
+        inverse_at([1.5, 0, 0, 0, 0, 0], plant.tcp_offset, plant.q.tolist())
 
 
 def test_at_rest_a_zeroed_sensor_reads_nothing_and_raw_reads_the_weight(plant):
@@ -124,7 +125,8 @@ def press(plant):
     goal = plant.tcp_pose()
     q = plant.q
     for step in range(200):
-        target = plant.inverse([*goal[:2], goal[2] - 0.0065 * step / 200, *goal[3:]], q)
+        lower = [*goal[:2], goal[2] - 0.0065 * step / 200, *goal[3:]]
+        target = np.array(inverse_at(lower, plant.tcp_offset, q.tolist()))
         plant.drive(target, (target - q) / 0.002)
         q = target
     return q, hold(plant, 200, q)
