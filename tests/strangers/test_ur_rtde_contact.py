@@ -1,7 +1,5 @@
 """`RTDEControlInterface` of ur_rtde in contact: the force is what the physics solved, not what a sensor told."""
 
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 
@@ -11,7 +9,6 @@ from dashboard_client import DashboardClient
 from rtde_control import RTDEControlInterface
 from rtde_receive import RTDEReceiveInterface
 
-from sim_backend.protocol.rtde.modes import RuntimeState, SafetyMode
 from tests.strangers.emulated_robot import EmulatedRobot, plus, reupload, until
 
 BASE = [0.0] * 6
@@ -173,40 +170,6 @@ def test_the_watchdog_stops_the_arm_when_nobody_kicks_it(robot: EmulatedRobot, c
     start = robot.truth().q
     assert control.moveJ(plus(start, 0, 0, 0, 0, 0, 0.1), 1.0, 2.0)
     assert robot.truth().q[5] - start[5] == pytest.approx(0.1, abs=2e-3)
-
-
-PUSH = """
-import sys, time
-from rtde_control import RTDEControlInterface
-control = RTDEControlInterface(sys.argv[1])
-control.zeroFtSensor()
-control.setWatchdog(10.0)
-control.speedL([0.0, 0.0, -0.004, 0.0, 0.0, 0.0], 0.5)
-while True:
-    control.kickWatchdog()
-    time.sleep(0.02)
-"""
-
-
-def test_a_client_that_is_killed_while_it_pushes_leaves_an_arm_that_stops(robot: EmulatedRobot) -> None:
-    robot.lay_out()
-    robot.place_over_the_block(0.001)
-    client = subprocess.Popen([sys.executable, "-c", PUSH, robot.host])
-    try:
-        assert until(lambda: bool(robot.truth().contact[2] > 10.0), 10.0)
-        with robot.recording() as recorded:
-            client.kill()
-            client.wait()
-            assert until(lambda: robot.get("runtime_state") == RuntimeState.STOPPED, 1.0)
-            assert robot.is_at_rest()
-            path = recorded()
-    finally:
-        client.kill()
-        client.wait()
-    assert robot.get("safety_mode") == SafetyMode.NORMAL
-    sunk = path.position[0, 2] - path.position[:, 2].min()
-    assert sunk < 0.004 * 0.25  # a tenth of a second of the watchdog, and then the deceleration
-    assert path.load.max() - path.load[0] < 15.0
 
 
 def test_a_protective_stop_is_left_only_after_its_time_and_by_hand(
