@@ -100,6 +100,8 @@ class ExpressionCompiler:
             case Name():
                 return self._variable(place, node.name)
             case ListLiteral():
+                if len(node.items) > LARGEST_LIST:
+                    raise CompileError(*place, f"A list cannot have more than {LARGEST_LIST} elements")
                 fixed = _fixed(node)
                 if fixed is not None:
                     return load(place, self._keep(fixed))
@@ -258,7 +260,7 @@ def _fixed(node: Expression) -> Any:
             value, bool
         ):
             return -value if sign == "-" else value
-        case ListLiteral() if 0 < len(node.items) <= LARGEST_LIST:
+        case ListLiteral() if node.items:
             values = [_fixed(value) for value in node.items]
             if any(value is None for value in values):
                 return None

@@ -13,6 +13,7 @@ import enum
 import re
 import resource
 from collections.abc import Generator
+from itertools import islice
 from types import CodeType, TracebackType
 from typing import Any, Final, TypeAlias
 
@@ -256,7 +257,7 @@ def _place_of(traceback: TracebackType | None) -> tuple[int, int]:
     while traceback is not None:
         code: CodeType = traceback.tb_frame.f_code
         if code.co_filename == FILE_NAME:
-            line, _, column, _ = list(code.co_positions())[traceback.tb_lasti // 2]
+            line, _, column, _ = next(islice(code.co_positions(), traceback.tb_lasti // 2, None))
             place = line or 0, (column or 0) + 1
         traceback = traceback.tb_next
     return place
