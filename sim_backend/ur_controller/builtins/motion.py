@@ -11,7 +11,7 @@ import numpy as np
 
 from sim_backend.kinematics import JOINT_SPEED_RAD_S, KinematicsError
 from sim_backend.protocol.wire import TICK_S
-from sim_backend.ur_controller.motion import Motion
+from sim_backend.ur_controller.motion import ForceTask, Motion
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Value
 from sim_backend.ur_controller.script.values import integer, is_list, number, pose, quantities, text_of_kind, truth
 
@@ -158,13 +158,9 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
         largest = quantities(limits, 6, "limits")
         if min(largest) < 0.0:
             raise ScriptRuntimeError("force_mode: limits must not be negative")
-        motion.force(
-            quantities(task_frame, 6, "task_frame"),
-            [item == 1.0 for item in selection],
-            quantities(wrench, 6, "wrench"),
-            kind,
-            largest,
-        )
+        compliant = [item == 1.0 for item in selection]
+        frame, force = quantities(task_frame, 6, "task_frame"), quantities(wrench, 6, "wrench")
+        motion.force(ForceTask(frame, compliant, force, kind, largest))
 
     def force_mode_set_damping(damping: Value) -> None:
         motion.force_damping = _between(damping, 0.0, 1.0, "damping")

@@ -103,10 +103,10 @@ class Sockets:
             with contextlib.suppress(BlockingIOError):
                 peer.connect((host, port))
             for _ in range(round(OPEN_TIMEOUT_S / TICK_S)):
+                yield  # a handshake takes time on every network, and peers count on the order of several
                 if select.select((), (peer,), (), 0.0)[1]:
                     kept = peer.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) == 0
                     break
-                yield
         except OSError:
             kept = False
         finally:

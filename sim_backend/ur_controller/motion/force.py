@@ -7,6 +7,7 @@ with the wrench asked for, and drifts with a speed in proportion to it in free s
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.geometry import Rotation, Vector, rotate, rotation_of, transpose
@@ -22,10 +23,11 @@ bandwidth, 17 rad/s at 1.7e4 N/m: far enough below what the sensor's delay and t
 _AXES = range(6)
 
 
-class ForceMode:
-    """The admittance's state and its parameters.
+@dataclass(frozen=True, slots=True)
+class ForceTask:
+    """What a script asks force mode for.
 
-    Args:
+    Attributes:
         frame: pose of the task frame, base frame.
         selection: (6,) axes of the task frame that are compliant.
         wrench: (6,) to apply to the environment, task frame, N and N·m at the TCP.
@@ -35,31 +37,27 @@ class ForceMode:
             measured TCP from where the program has it, m and rad; 0 there is no limit.
     """
 
-    def __init__(
-        self,
-        frame: Sequence[float],
-        selection: Sequence[bool],
-        wrench: Sequence[float],
-        kind: int,
-        limits: Sequence[float],
-    ) -> None:
-        self._speed = [0.0] * 6
-        self.command(frame, selection, wrench, kind, limits)
+    frame: Sequence[float]
+    selection: Sequence[bool]
+    wrench: Sequence[float]
+    kind: int
+    limits: Sequence[float]
 
-    def command(
-        self,
-        frame: Sequence[float],
-        selection: Sequence[bool],
-        wrench: Sequence[float],
-        kind: int,
-        limits: Sequence[float],
-    ) -> None:
-        """Take other parameters while it moves."""
-        self._origin: Vector = (frame[0], frame[1], frame[2])
-        self._given = rotation_of(frame[3], frame[4], frame[5])
+
+class ForceMode:
+    """The admittance's state."""
+
+    def __init__(self, task: ForceTask) -> None:
+        self._speed = [0.0] * 6
+        self.command(task)
+
+    def command(self, task: ForceTask) -> None:
+        """Take another task while it moves."""
+        x, y, z, *turn = task.frame
+        self._origin: Vector = (x, y, z)
+        self._given = rotation_of(*turn)
         self._axes = self._given
-        self._selection, self._wrench, self._limits = tuple(selection), tuple(wrench), tuple(limits)
-        self._kind = kind
+        self._task = task
 
     def step(
         self,
@@ -83,9 +81,10 @@ class ForceMode:
             gain: 0 … 2.
             fraction: of the full speed, 0 … 1; a paused program does not give way either.
         """
-        if self._kind == 1:
+        task = self._task
+        if task.kind == 1:
             self._axes = _facing(self._given, point, self._origin)
-        elif self._kind == 3:
+        elif task.kind == 3:
             self._axes = _along(self._given, program, self._axes)
         axes, back = self._axes, transpose(self._axes)
         asked = (*rotate(back, program[:3]), *rotate(back, program[3:]))
@@ -94,11 +93,11 @@ class ForceMode:
         speed = self._speed
         twist = [0.0] * 6
         for i in _AXES:
-            if self._selection[i]:
-                push = TICK_S * gain * (self._wrench[i] + felt[i])
+            if task.selection[i]:
+                push = TICK_S * gain * (task.wrench[i] + felt[i])
                 value = (_MASS[i] * speed[i] + push) / (_MASS[i] + drag * _DAMPING[i])
-                limit = self._limits[i] * fraction
-                if saturated and value * self._wrench[i] > 0.0:
+                limit = task.limits[i] * fraction
+                if saturated and value * task.wrench[i] > 0.0:
                     limit = 0.0  # what the arm applies may stay below what was asked for
                 twist[i] = speed[i] = max(-limit, min(limit, value))
             else:
@@ -107,11 +106,11 @@ class ForceMode:
 
     def exceeded(self, deviation: Sequence[float]) -> bool:
         """Whether the measured TCP, off by `deviation` (6,) in base axes, is too far along an axis that is stiff."""
-        back = transpose(self._axes)
+        task, back = self._task, transpose(self._axes)
         off = (*rotate(back, deviation[:3]), *rotate(back, deviation[3:]))
         return any(
             not compliant and 0.0 < limit < abs(distance)
-            for compliant, limit, distance in zip(self._selection, self._limits, off, strict=True)
+            for compliant, limit, distance in zip(task.selection, task.limits, off, strict=True)
         )
 
 

@@ -13,7 +13,7 @@ from sim_backend.ur_controller.plant import Plant
 
 from .cartesian import Arc, Line, PathMover, ServoC, SpeedL, StopL, standing
 from .contact import ContactMemory
-from .force import DEFAULT_DAMPING, DEFAULT_GAIN, ForceMode
+from .force import DEFAULT_DAMPING, DEFAULT_GAIN, ForceMode, ForceTask
 from .inverse import inverse_at
 from .joint import JOINT_RAD_S2, MoveJ, ServoJ, SpeedJ, StopJ, blend_share, top_speed
 from .mover import JointMover, Mover, ToolMover
@@ -262,21 +262,14 @@ class Motion:
             self._take(mover)
         mover.command(standing(target), v, a, r)
 
-    def force(
-        self,
-        frame: Sequence[float],
-        selection: Sequence[bool],
-        wrench: Sequence[float],
-        kind: int,
-        limits: Sequence[float],
-    ) -> None:
-        """Be in force mode, with these parameters; see `force.ForceMode`."""
+    def force(self, task: ForceTask) -> None:
+        """Be in force mode."""
         self.end_freedrive()
         if self._force is None:
-            self._force = ForceMode(frame, selection, wrench, kind, limits)
+            self._force = ForceMode(task)
             self._displaced = True
         else:
-            self._force.command(frame, selection, wrench, kind, limits)
+            self._force.command(task)
 
     def end_force(self) -> None:
         """Leave force mode; the arm stays where the force has taken it, and a move that is on its way goes on."""
@@ -291,7 +284,8 @@ class Motion:
         self._mover = self._queued = None
         self._freedrive = True
         if not all(axes):
-            self._force = ForceMode(frame, axes, [0.0] * 6, 2, [FREEDRIVE_SPEED if free else 0.0 for free in axes])
+            speeds = [FREEDRIVE_SPEED if free else 0.0 for free in axes]
+            self._force = ForceMode(ForceTask(frame, axes, [0.0] * 6, 2, speeds))
             self._displaced = True
 
     def end_freedrive(self) -> None:

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from sim_backend.protocol.task import Task
+from sim_backend.ur_controller.motion import ForceTask
 
 from .conftest import Arm, angle_between
 
@@ -20,7 +21,7 @@ def _over_the_block(arm: Arm, seed: int = 1, height: float = 0.004) -> None:
 
 
 def _push(arm: Arm, newtons: float, *, limits: list[float] = WIDE, kind: int = 2) -> None:
-    arm.motion.force(BASE, DOWN, [0.0, 0.0, -newtons, 0.0, 0.0, 0.0], kind, limits)
+    arm.motion.force(ForceTask(BASE, DOWN, [0.0, 0.0, -newtons, 0.0, 0.0, 0.0], kind, limits))
 
 
 @pytest.mark.parametrize("newtons", [5.0, 20.0])
@@ -171,7 +172,7 @@ def test_a_task_frame_turns_the_axes(arm: Arm):
     arm.plant.zero_ft()
     start = np.array(arm.plant.tcp_pose()[:3])
     frame = [0.0, 0.0, 0.0, 0.0, 0.0, np.pi / 4]
-    arm.motion.force(frame, [True, False, False, False, False, False], [10.0, 0, 0, 0, 0, 0], 2, WIDE)
+    arm.motion.force(ForceTask(frame, [True, False, False, False, False, False], [10.0, 0, 0, 0, 0, 0], 2, WIDE))
     arm.run(250)
     moved = np.array(arm.plant.tcp_pose()[:3]) - start
     assert moved[:2].sum() / np.sqrt(2) > 0.01
@@ -185,7 +186,7 @@ def test_type_1_points_from_the_tool_to_the_frame(arm: Arm):
     start = np.array(arm.plant.tcp_pose()[:3])
     towards = np.array([0.08, 0.06, 0.0])
     frame = [*(start + towards), 0.0, 0.0, 0.0]
-    arm.motion.force(frame, [False, True, False, False, False, False], [0, 10.0, 0, 0, 0, 0], 1, WIDE)
+    arm.motion.force(ForceTask(frame, [False, True, False, False, False, False], [0, 10.0, 0, 0, 0, 0], 1, WIDE))
     arm.run(250)
     moved = np.array(arm.plant.tcp_pose()[:3]) - start
     along = moved @ towards / np.linalg.norm(towards)
@@ -198,7 +199,7 @@ def test_type_3_follows_the_direction_of_motion(arm: Arm):
     arm.plant.zero_ft()
     start = np.array(arm.plant.tcp_pose()[:3])
     # compliant across the motion: a push along y of the frame goes to the left of where the tool moves
-    arm.motion.force(BASE, [False, True, False, False, False, False], [0, 10.0, 0, 0, 0, 0], 3, WIDE)
+    arm.motion.force(ForceTask(BASE, [False, True, False, False, False, False], [0, 10.0, 0, 0, 0, 0], 3, WIDE))
     arm.run(200, lambda: arm.motion.speedl([0.0, 0.05, 0.0, 0, 0, 0], 1.0, 0.002, 1.0))
     moved = np.array(arm.plant.tcp_pose()[:3]) - start
     assert moved[0] < -0.008
@@ -209,7 +210,7 @@ def test_a_compliant_turn_follows_the_torque(arm: Arm):
     arm.run(250)
     arm.plant.zero_ft()
     start = arm.plant.tcp_pose()
-    arm.motion.force(BASE, [False] * 5 + [True], [0, 0, 0, 0, 0, 0.5], 2, WIDE)
+    arm.motion.force(ForceTask(BASE, [False] * 5 + [True], [0, 0, 0, 0, 0, 0.5], 2, WIDE))
     arm.run(400)
     assert angle_between(start, arm.plant.tcp_pose()) > 0.05
     assert np.linalg.norm(np.subtract(arm.plant.tcp_pose()[:3], start[:3])) < 6e-4
@@ -218,7 +219,7 @@ def test_a_compliant_turn_follows_the_torque(arm: Arm):
 def test_a_stiff_axis_that_is_pushed_beyond_its_limit_is_a_fault(arm: Arm):
     _over_the_block(arm, height=0.001)
     limits = [0.1, 0.1, 0.0005, 0.5, 0.5, 0.5]
-    arm.motion.force(BASE, [True, False, False, False, False, False], [0.0] * 6, 2, limits)
+    arm.motion.force(ForceTask(BASE, [True, False, False, False, False, False], [0.0] * 6, 2, limits))
     for _ in range(500):
         arm.run(1, lambda: arm.motion.speedl([0.0, 0.0, -0.02, 0.0, 0.0, 0.0], 0.5, 0.002, 0.5))
         if arm.motion.fault:
