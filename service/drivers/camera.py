@@ -1,6 +1,7 @@
 """Estimates of the hole's position, for a driver whose arm does not bring them along."""
 
 import asyncio
+import math
 import threading
 from collections.abc import Callable
 from typing import Protocol
@@ -48,6 +49,9 @@ class Camera(Protocol):
 class ZenohCamera:
     """A camera that publishes `wire.CAMERA` records; the newest one counts, as long as it is fresh.
 
+    A frame that comes again, or after a newer one, refreshes nothing: a camera that hangs behind a publisher that does
+    not is as good as none. One of another publisher, by its `epoch`, or of a world laid out anew, is the first.
+
     Args:
         endpoint: of the publisher.
         key: under which it publishes.
@@ -62,7 +66,8 @@ class ZenohCamera:
         self._clock = clock
         self._lock = threading.Lock()
         self._newest: tuple[float, Array] | None = None
-        self._episode = 0
+        self._episode = self._epoch = 0
+        self._time_s = -math.inf
         self._told = False
         self._session: zenoh.Session | None = None
 
@@ -99,6 +104,9 @@ class ZenohCamera:
             return
         row = records[-1]
         position = np.array(row["position"], np.float64)
+        epoch, episode, time_s = int(row["epoch"]), int(row["episode"]), float(row["time_s"])
         with self._lock:
-            self._episode = int(row["episode"])
+            if (epoch, episode) == (self._epoch, self._episode) and not time_s > self._time_s:
+                return
+            self._epoch, self._episode, self._time_s = epoch, episode, time_s
             self._newest = (arrival_s, position) if bool(np.isfinite(position).all()) else None

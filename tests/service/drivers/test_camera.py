@@ -29,9 +29,9 @@ def listening(endpoint: str) -> Iterator[zenoh.Session]:
         close_session(session)
 
 
-def frame(position: tuple[float, float, float], episode: int = 4) -> bytes:
+def frame(position: tuple[float, float, float], episode: int = 4, time_s: float = 61.5) -> bytes:
     record = wire.new(wire.CAMERA, wire.Kind.CAMERA)
-    record[0]["episode"], record[0]["position"], record[0]["time_s"] = episode, position, 61.5
+    record[0]["episode"], record[0]["position"], record[0]["time_s"] = episode, position, time_s
     return record.tobytes()
 
 
@@ -74,7 +74,28 @@ async def test_a_frame_that_is_no_number_is_no_estimate_and_one_that_cannot_be_r
                 session.put(KEY, b"not a frame")
             await asyncio.sleep(0.1)
             assert camera.estimate(0.0) == pytest.approx([0.3, -0.1, 0.08])
-            await publish_until(session, frame((np.nan, 0.0, 0.0)), lambda: camera.estimate(0.0) is None)
+            blind = frame((np.nan, 0.0, 0.0), time_s=61.6)
+            await publish_until(session, blind, lambda: camera.estimate(0.0) is None)
+        finally:
+            await camera.close()
+
+
+async def test_a_frame_that_comes_again_and_again_grows_old_all_the_same() -> None:
+    """The camera hangs, its publisher does not."""
+    endpoint = free_endpoint()
+    now = 100.0
+    camera = ZenohCamera(endpoint, KEY, 0.2, lambda: now)
+    with listening(endpoint) as session:
+        await camera.open()
+        try:
+            await publish_until(session, frame((0.3, -0.1, 0.08)), lambda: camera.estimate(now) is not None)
+            now = 100.3
+            for time_s in (61.5, 61.5, 61.4):
+                session.put(KEY, frame((0.3, -0.1, 0.08), time_s=time_s))
+            await asyncio.sleep(0.2)
+            assert camera.estimate(now) is None
+            newer = frame((0.3, -0.1, 0.08), time_s=61.6)
+            await publish_until(session, newer, lambda: camera.estimate(now) is not None)
         finally:
             await camera.close()
 
