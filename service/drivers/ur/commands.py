@@ -5,6 +5,9 @@ from collections.abc import Callable, Sequence
 
 from service.drivers.ur.registers import Command, input_values
 
+LAST_SEQUENCE = 2**31 - 2**20
+"""Numbers beyond it do not fit the register for long: what stands there is another's, and counting starts anew."""
+
 
 class Outbox:
     """Writes orders into the input registers, each once the program has looked at the one before.
@@ -21,13 +24,15 @@ class Outbox:
         self._send = send
         self._sequence = 0
         self._written = 0
-        self._command = Command.NONE
-        self._values = input_values(0, Command.NONE, ())
+        self._command = Command.STOP
+        self._values = input_values(0, Command.STOP, ())
         self._handled = 0
         self._waiting: deque[tuple[int, Command, Sequence[float]]] = deque()
 
     def begin(self, handled: int) -> int:
-        """Forget all orders and write none, under a number that the program has not seen.
+        """Forget all orders and write a stop, under a number that the program has not seen.
+
+        A stop and not nothing: a program that is paused meanwhile would go on with its last target when it is resumed.
 
         Args:
             handled: last number that the program echoed, perhaps of an earlier client.
@@ -36,9 +41,10 @@ class Outbox:
             The number.
         """
         self._waiting.clear()
-        self._sequence = max(self._sequence, handled) + 1
+        latest = max(self._sequence, handled)
+        self._sequence = latest + 1 if latest < LAST_SEQUENCE else 1
         self._handled = handled
-        self._write(self._sequence, Command.NONE, ())
+        self._write(self._sequence, Command.STOP, ())
         return self._sequence
 
     def put(self, command: Command, arguments: Sequence[float] = ()) -> int:

@@ -7,11 +7,11 @@ makes samples of what comes back, and asks an operator's wishes of the dashboard
 import asyncio
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 
 import structlog
 
-from service.config import CellConfig
+from service.config import CellConfig, UrSection
 from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, SampleSink, Setup
 from service.drivers.camera import Camera
 from service.drivers.stage import Stage
@@ -22,13 +22,20 @@ from service.drivers.ur.program import ProgramError, render
 from service.drivers.ur.registers import Command
 from service.drivers.ur.samples import Package, SampleReader
 from service.faults import FaultCode
-from sim_backend.protocol.wire import TICK_S
+from sim_backend.protocol.rtde.modes import RuntimeState
+from sim_backend.protocol.wire import TICK_S, Program
 
 FRESH_S = 1.0
 """Robot's time in which samples and camera frames of a world that was just laid out must come."""
 ESCALATE_S = 1.0
 """Time in which an ended program must be measured to have brought the arm to rest; else its power is cut."""
+REST_S = 0.1
+"""Of it without a break: an arm that swings is slow for a moment at every turn."""
+ERRAND_S = 1.0
+"""Host time for one word with the dashboard in an escalation: one that hangs must not hold up the next."""
 POLL_S = 0.01
+ECHO_MARGIN_S = 0.02
+"""For the controller's own steps between an order and its echo."""
 STANDSTILL_RAD_S = 0.02
 """Of the fastest joint: below it the arm stands."""
 
@@ -76,10 +83,13 @@ class UrDriver:
         self._camera = camera
         self._stage = stage
         self._reader = SampleReader(config.ur)
-        self._link = UrLink(config.ur, render(config), mode, clock, self._take, self._lose)
+        # there and back, each way as late as a sample may be
+        echo_s = 2.0 * config.limits.sample_age_s + ECHO_MARGIN_S
+        self._link = UrLink(config.ur, render(config), mode, clock, self._take, self._lose, echo_s)
         self._sink: SampleSink | None = None
         self._episode = 0
         self._proven = not (config.ur.simulated if config.ur.prove_watchdog is None else config.ur.prove_watchdog)
+        self._setting: tuple[float, tuple[float, ...], tuple[float, ...]] | None = None
         self._unlocking: asyncio.Task[None] | None = None
         self._escalation: asyncio.Task[None] | None = None
 
@@ -121,15 +131,20 @@ class UrDriver:
     async def prepare(self, setup: Setup) -> None:
         """Have the arm ready and the control program running, and lay out a simulated world.
 
+        The gate is passed again, but for the sensor, which the run judges itself: when the connection was made the arm
+        may have had no power, and what was found then need not hold any more.
+
         Raises:
             DriverError: AUTHORITY, the arm is not ours to move; PROTOCOL, a seed for a real arm.
         """
         if self._stage is None and setup.seed is not None:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name} is real and has no seed: leave it out")
-        facts = await gate.measure_arm(self._link, self._ur)
-        if failed := gate.failures(gate.judge_arm(facts)):
+        facts = await gate.measure_program(self._link, self._ur, prove_watchdog=not self._proven)
+        checks = gate.judge_program(facts, self._ur)
+        if failed := gate.failures(checks):
             raise DriverError(FaultCode.AUTHORITY, "; ".join(check.text for check in failed))
-        await self._link.run_program()
+        self._note(checks)
+        self._proven = self._proven or facts.watchdog_s is not None
         if self._stage is not None:
             await self._lay_out(self._stage, setup)
 
@@ -183,10 +198,10 @@ class UrDriver:
 
         def is_shown(package: Package) -> bool:
             seen = camera is None or camera.episode == laid_out.episode
-            return package.time_s > laid_out.time_s and seen
+            return 0.0 < package.time_s - laid_out.time_s < 2.0 * FRESH_S and seen
 
         if not await self._link.until(is_shown, FRESH_S):
-            text = f"{self.name}: no samples, or no camera frames, of the world that was laid out"
+            text = f"{self.name}: no samples, or no camera frames, of the world that was laid out; is it another arm's?"
             raise DriverError(FaultCode.STALE, text)
         self._link.resynchronise()  # its clock stood while it laid out
         self._episode = laid_out.episode
@@ -197,6 +212,8 @@ class UrDriver:
         sink, camera = self._sink, self._camera
         if sink is None:
             return
+        if package.program == Program.ENGAGED and self._link.watch.running:
+            self._judge_setting(package, sink)
         if self._episode and camera is not None and camera.episode != self._episode:
             sink.on_link_fault(FaultCode.SOURCE, f"{self.name}: somebody else laid out the world")
             self._episode = 0
@@ -214,6 +231,25 @@ class UrDriver:
         else:
             sink.on_sample(sample)
 
+    def _judge_setting(self, package: Package, sink: SampleSink) -> None:
+        """What the law was engaged with must stay as it is; others can set it while our program runs."""
+        text = ""
+        if not package.speed_fraction >= gate.MIN_SPEED_FRACTION:
+            text = f"the speed slider was moved to {package.speed_fraction:.0%}"
+        elif (setting := (package.payload_kg, package.payload_com, package.tcp_offset)) != self._setting:
+            failed = gate.tool_failures(package, self._ur)
+            if failed:
+                text = "; ".join(check.text for check in failed)
+            else:
+                self._setting = setting
+        if text:
+            sink.on_link_fault(FaultCode.AUTHORITY, f"{self.name}: {text}")
+
+    def _note(self, checks: tuple[gate.Check, ...]) -> None:
+        """Keep what was found anew, beside what was not looked at this time."""
+        found = {check.name: check for check in checks if check.verdict is not gate.Verdict.SKIPPED}
+        self.checks = tuple(found.get(check.name, check) for check in self.checks)
+
     def _lose(self, code: FaultCode, text: str) -> None:
         if self._sink is not None:
             self._sink.on_link_fault(code, text)
@@ -229,26 +265,40 @@ class UrDriver:
     async def _escalate(self) -> None:
         """End the program; where the arm is then not measured to stand, cut its power."""
         _log.error("escalate", what="no standstill was measured: the program is ended")
-        try:
-            await recovery.stop_program(self._ur)
-        except DashboardError as error:
-            _log.error("escalate", error=str(error))
+        await self._last_resort(recovery.stop_program)
         if await self._comes_to_rest():
             return
-        try:
-            await recovery.power_off(self._ur)
-        except DashboardError as error:
-            _log.error("escalate", error=str(error))
-        else:
+        if await self._last_resort(recovery.power_off):
             _log.error("escalate", what="the arm's power was cut")
 
+    async def _last_resort(self, errand: Callable[[UrSection], Awaitable[None]]) -> bool:
+        """Do one errand; return whether it was done. Whatever goes wrong with it, the next one must have its turn."""
+        try:
+            async with asyncio.timeout(ERRAND_S):
+                await errand(self._ur)
+        except Exception as error:
+            _log.error("escalate", error=f"{type(error).__name__}: {error}")
+            return False
+        return True
+
     async def _comes_to_rest(self) -> bool:
-        begun, end_s = self._link.package, self.clock() + ESCALATE_S
+        """Whether the arm is measured to stand, for a while, with no program that could go on."""
+        end_s = self.clock() + ESCALATE_S
+        still_since: float | None = None
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(2.0 * ESCALATE_S):  # in lockstep without a link, no time passes
                 while self.clock() < end_s:
                     package = self._link.package
-                    if package is not None and package is not begun and max(map(abs, package.qd)) < STANDSTILL_RAD_S:
+                    if package is None or not _rests(package):
+                        still_since = None
+                    elif still_since is None:
+                        still_since = package.time_s
+                    elif package.time_s - still_since >= REST_S:
                         return True
                     await asyncio.sleep(POLL_S)
         return False
+
+
+def _rests(package: Package) -> bool:
+    """Written so that a speed that is not a number is none of rest."""
+    return package.runtime_state == RuntimeState.STOPPED and all(abs(speed) < STANDSTILL_RAD_S for speed in package.qd)

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from math import hypot
 
@@ -99,6 +99,16 @@ def judge_arm(facts: Facts) -> tuple[Check, ...]:
     return tuple(_judge_arm(facts))
 
 
+def judge_program(facts: Facts, ur: UrSection) -> tuple[Check, ...]:
+    """The checks of arm and control program, which every run is preceded by."""
+    return (*judge_arm(facts), *_judge_program(facts, ur))
+
+
+def tool_failures(package: Package, ur: UrSection) -> tuple[Check, ...]:
+    """What the controller goes by as payload and TCP, where that is not what is configured."""
+    return failures(tuple(_judge_tool(package, ur)))
+
+
 def failures(checks: tuple[Check, ...]) -> tuple[Check, ...]:
     """Those that failed."""
     return tuple(check for check in checks if check.verdict is Verdict.FAILED)
@@ -130,25 +140,38 @@ async def measure(link: UrLink, ur: UrSection, preflight: PreflightSection, *, p
     Raises:
         DriverError: a fact cannot be had; an arm that fails its own checks is no error, and leaves the rest open.
     """
+    facts = await measure_program(link, ur, prove_watchdog=prove_watchdog)
+    if facts.configured is None:
+        return facts
+    return replace(facts, wrenches=await _window(link, SampleReader(ur), preflight.window_samples))
+
+
+async def measure_program(link: UrLink, ur: UrSection, *, prove_watchdog: bool) -> Facts:
+    """Collect the facts about arm and control program: all but those of the sensor.
+
+    Args:
+        link: open.
+        ur: of the configuration.
+        prove_watchdog: let the watchdog end the program once, and start it again.
+
+    Raises:
+        DriverError: as `measure`.
+    """
     facts = await measure_arm(link, ur)
     if failures(judge_arm(facts)):
         return facts
     await link.run_program()
     round_trip_s = await link.exchange(1.0)
-    await link.until(lambda package: not failures(tuple(_judge_tool(package, ur))), CONFIGURED_S)
+    await link.until(lambda package: not tool_failures(package, ur), CONFIGURED_S)
     configured = link.newest
-    wrenches = await _window(link, SampleReader(ur), preflight.window_samples)
     watchdog_s: float | None = None
     if prove_watchdog:
         took_s = await link.trip_watchdog(10.0 / ur.watchdog_hz + 1.0)
         watchdog_s = float("inf") if took_s is None else took_s
         await link.run_program()
-    return Facts(
-        version=facts.version,
-        remote_control=facts.remote_control,
-        package=facts.package,
+    return replace(
+        facts,
         configured=configured,
-        wrenches=wrenches,
         round_trip_s=float("inf") if round_trip_s is None else round_trip_s,
         watchdog_s=watchdog_s,
     )
@@ -210,7 +233,10 @@ def _judge_arm(facts: Facts) -> Iterator[Check]:
 
 
 def _judge_tool(package: Package | None, ur: UrSection) -> Iterator[Check]:
-    remedy = "the control program sets what [ur] says: see that nothing else sets it, and that the arm may carry it"
+    remedy = (
+        "the control program sets what [ur] says as it starts: see that nothing else sets it, and that the arm may "
+        "carry it; stop the program on the pendant, and the next start sends it again"
+    )
     if package is None:
         yield Check("payload", "not measured", Verdict.SKIPPED)
         yield Check("TCP", "not measured", Verdict.SKIPPED)

@@ -56,7 +56,8 @@ class UrLink:
         mode: in lockstep, time is the controller's own, since its first package.
         clock: monotonic seconds of the host.
         on_package: receives each package and its arrival, once `open` is done.
-        on_lost: receives why the connection ended.
+        on_lost: receives why the connection ended, or is not to be believed.
+        echo_s: longest time from an order to the program's echo of it, of the robot's time.
 
     Attributes:
         package: the newest.
@@ -73,6 +74,7 @@ class UrLink:
         clock: Callable[[], float],
         on_package: Callable[[Package, float], None],
         on_lost: Callable[[FaultCode, str], None],
+        echo_s: float,
     ) -> None:
         self.package: Package | None = None
         self.arrival_s = 0.0
@@ -83,6 +85,8 @@ class UrLink:
         self._lockstep = mode == "lockstep"
         self._on_package = on_package
         self._on_lost = on_lost
+        self._echo_s = echo_s
+        self._probe: tuple[int, float] | None = None
         self._client = RtdeClient(
             ur.host,
             ur.rtde_port,
@@ -231,15 +235,34 @@ class UrLink:
         else:
             self.arrival_s = self._arrivals.arrival(package.time_s, read_s)
         if self.watch.observe(package):
+            self._judge_echo(package)
             self.outbox.observe(package.handled)
+        else:
+            self._probe = None
         self._on_package(package, self.arrival_s)
         if not 0 <= package.tick - self._last_written_tick < HEARTBEAT_TICKS:
             self.outbox.repeat()
         self._arrived.set()
 
+    def _judge_echo(self, package: Package) -> None:
+        """Time one order after another: a delay that grows slowly shows in no package's arrival."""
+        if self._probe is None:
+            return
+        number, written_s = self._probe
+        took_s = package.time_s - written_s
+        if package.handled >= number:
+            self._probe = None
+        elif took_s > self._echo_s:
+            self._probe = None
+            limit = f"limit {self._echo_s * 1e3:.0f} ms"
+            text = f"{self._client.name}: no echo of an order after {took_s * 1e3:.0f} ms, {limit}: the link is slow"
+            self._on_lost(FaultCode.STALE, text)
+
     def _write(self, values: tuple[int | float, ...]) -> None:
         if self._mute or self.package is None:
             return
+        if self._probe is None and self.watch.running and values[0] > self.package.handled:
+            self._probe = int(values[0]), self.package.time_s
         self._last_written_tick = self.package.tick
         self._client.send(0, values)
 

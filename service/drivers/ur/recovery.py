@@ -55,11 +55,12 @@ async def unlock(ur: UrSection) -> None:
 
 
 async def stop_program(ur: UrSection) -> None:
-    """Stop whatever program runs; one that does not run is no error.
+    """Stop whatever program runs or is paused; that there is none is no error.
 
     Raises:
         DashboardError: the controller cannot be reached.
     """
     async with dashboard(ur) as client:
-        if await client.is_running():
+        state, _ = await client.program_state()
+        if state != "STOPPED":  # `running` says false of a paused one
             await client.stop()

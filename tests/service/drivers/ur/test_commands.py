@@ -75,6 +75,7 @@ def test_a_stop_replaces_everything_at_once_and_is_repeated_until_another_order_
 
 def test_an_order_after_a_stop_waits_until_the_stop_was_seen() -> None:
     outbox, registers = an_outbox()
+    outbox.put(Command.ZERO_FT)
     outbox.stop()
     outbox.put(Command.ENGAGE)
     assert Command(registers.values[1]) is Command.STOP
@@ -101,4 +102,4 @@ def test_a_new_beginning_leaves_no_old_order() -> None:
     outbox.begin(registers.handled)
     for _ in range(3):
         outbox.observe(registers.look())
-    assert [command for _, command in registers.done] == [Command.NONE]
+    assert [command for _, command in registers.done] == [Command.STOP]
