@@ -12,7 +12,7 @@ from tests.strangers.emulated_robot import EmulatedRobot, reupload
 @pytest.fixture(scope="session")
 def robot() -> Iterator[EmulatedRobot]:
     """One controller for all of them, at an address of its own: these clients know only the standard ports."""
-    served = EmulatedRobot("127.0.0.26")
+    served = EmulatedRobot([f"127.0.0.{number}" for number in range(26, 30)])
     yield served
     served.close()
 

@@ -10,7 +10,7 @@ import select
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
@@ -76,14 +76,24 @@ class Recording:
 
 
 class EmulatedRobot:
-    """A running emulated controller."""
+    """A running emulated controller.
 
-    def __init__(self, host: str) -> None:
-        self.host = host
+    Args:
+        hosts: addresses of which it takes the first whose ports are free.
+
+    Attributes:
+        host: the one that it has taken.
+    """
+
+    def __init__(self, hosts: Sequence[str]) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, str(Path(__file__)), host], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [sys.executable, str(Path(__file__)), *hosts], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
-        assert self._answer() == "ready"
+        try:
+            self.host: str = self._answer()
+        except AssertionError:
+            self.close()
+            raise
 
     def close(self) -> None:
         assert self._process.stdin is not None
@@ -177,15 +187,22 @@ def reupload(control: Any) -> bool:
 class _Process:
     """The served side: one controller, its server, and the answers to the test's questions."""
 
-    def __init__(self, host: str) -> None:
+    def __init__(self, hosts: Sequence[str]) -> None:
         from sim_backend.ur_controller.controller import Controller
+        from sim_backend.ur_controller.listener import ListenError
         from sim_backend.ur_controller.plant import Plant
         from sim_backend.ur_controller.server import ControllerServer, Ports
         from sim_backend.world import World
 
         self._world = World(1, "tr")
-        self._controller = Controller(Plant(self._world))
-        self._server = ControllerServer(self._controller, host, Ports())
+        for self.host in hosts:
+            self._controller = Controller(Plant(self._world))
+            try:
+                self._server = ControllerServer(self._controller, self.host, Ports())
+                break
+            except ListenError:
+                if self.host == hosts[-1]:
+                    raise
         self._rows: list[list[float]] | None = None
         self._model = self._world.model()
         self._controller.events.append(self._show)
@@ -198,7 +215,7 @@ class _Process:
         freeze_garbage()
         metronome = Metronome(TICK_S)
         buffer = b""
-        print(json.dumps("ready"), flush=True)
+        print(json.dumps(self.host), flush=True)
         while True:
             self._server.step()
             if self._rows is not None:
@@ -310,4 +327,4 @@ def _plain(value: Any) -> Any:
 
 
 if __name__ == "__main__":
-    _Process(sys.argv[1]).run()
+    _Process(sys.argv[1:]).run()
