@@ -263,10 +263,16 @@ class UrDriver:
             _log.warning("unlock", error=str(error))
 
     async def _escalate(self) -> None:
-        """End the program; where the arm is then not measured to stand, cut its power."""
+        """End the program; where the arm is then not measured to stand, cut its power.
+
+        A program that has not taken a stop is not kept alive either: with no word from this side the watchdog ends it,
+        although the dashboard may be gone.
+        """
         _log.error("escalate", what="no standstill was measured: the program is ended")
-        await self._last_resort(recovery.stop_program)
-        if await self._comes_to_rest():
+        with self._link.silence():
+            await self._last_resort(recovery.stop_program)
+            rests = await self._comes_to_rest()
+        if rests:
             return
         if await self._last_resort(recovery.power_off):
             _log.error("escalate", what="the arm's power was cut")

@@ -1,8 +1,9 @@
 """The driver's connection to one controller: packages in, orders out, the control program sent and watched."""
 
 import asyncio
+import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Literal
 
 from service.config import UrSection
@@ -100,7 +101,7 @@ class UrLink:
         self._arrived = asyncio.Event()
         self._begun_s: float | None = None
         self._last_written_tick = 0
-        self._mute = False
+        self._silences = 0
 
     @property
     def version(self) -> tuple[int, int, int]:
@@ -207,17 +208,23 @@ class UrLink:
             return None
         return self.newest.time_s - begun_s
 
+    @contextlib.contextmanager
+    def silence(self) -> Iterator[None]:
+        """Write nothing while the context lasts, so that the controller's watchdog ends the program."""
+        self._silences += 1
+        try:
+            yield
+        finally:
+            self._silences -= 1
+
     async def trip_watchdog(self, limit_s: float) -> float | None:
         """Fall silent until the program is ended; return the robot's time that it took, None if it never was."""
         begun_s = self.newest.time_s
-        self._mute = True
-        try:
+        with self.silence():
             ended = await self.until(lambda package: package.runtime_state != RuntimeState.PLAYING, limit_s)
             took_s = self.newest.time_s - begun_s
             if ended:
                 await self.until(lambda package: package.runtime_state == RuntimeState.STOPPED, limit_s)
-        finally:
-            self._mute = False
         return took_s if ended else None
 
     async def _is_alive(self) -> bool:
@@ -259,7 +266,7 @@ class UrLink:
             self._on_lost(FaultCode.STALE, text)
 
     def _write(self, values: tuple[int | float, ...]) -> None:
-        if self._mute or self.package is None:
+        if self._silences or self.package is None:
             return
         if self._probe is None and self.watch.running and values[0] > self.package.handled:
             self._probe = int(values[0]), self.package.time_s

@@ -40,7 +40,7 @@ async def power_off(ur: UrSection) -> None:
 
 
 async def unlock(ur: UrSection) -> None:
-    """Leave a protective stop whose cause was inspected; the control program starts with the next run.
+    """Leave a protective stop whose cause was inspected, with no program; ours is sent again by the next run.
 
     Raises:
         DashboardError: TOO_EARLY within 5 s of the stop; REFUSED where the arm is in none, or in a worse one.
@@ -50,6 +50,7 @@ async def unlock(ur: UrSection) -> None:
         if status != "PROTECTIVE_STOP":
             text = f"the safety system says {status}: there is no protective stop to unlock"
             raise DashboardError(Reason.REFUSED, text)
+        await _end_program(client)  # one that the stop has paused would go on when somebody presses play
         await client.close_safety_popup()
         await client.unlock_protective_stop()
 
@@ -61,6 +62,10 @@ async def stop_program(ur: UrSection) -> None:
         DashboardError: the controller cannot be reached.
     """
     async with dashboard(ur) as client:
-        state, _ = await client.program_state()
-        if state != "STOPPED":  # `running` says false of a paused one
-            await client.stop()
+        await _end_program(client)
+
+
+async def _end_program(client: DashboardClient) -> None:
+    state, _ = await client.program_state()
+    if state != "STOPPED":  # `running` says false of a paused one
+        await client.stop()

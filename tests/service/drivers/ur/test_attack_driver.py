@@ -232,6 +232,37 @@ async def test_a_dashboard_that_never_answers_holds_the_last_resort_up_for_a_mom
             await cut.wait()
 
 
+async def test_the_last_resort_ends_our_program_without_a_dashboard(monkeypatch) -> None:
+    async def refused(ur) -> None:
+        raise OSError("gone")
+
+    monkeypatch.setattr(recovery, "stop_program", refused)
+    monkeypatch.setattr(recovery, "power_off", refused)
+    async with emulated() as arm:
+        await engaged(arm)
+        arm.driver.escalate()
+        await arm.until(lambda: arm.controller.runtime_state is RuntimeState.STOPPED, 0.2)
+        await arm.pass_time(1.0)
+        await arm.driver.prepare(SETUP)
+        assert arm.controller.runtime_state is RuntimeState.PLAYING, "the next run is heard again"
+
+
+async def test_an_unlocked_arm_has_no_program_that_could_go_on() -> None:
+    """A controller may pause a program at a protective stop instead of ending it."""
+    async with emulated() as arm:
+        await moving(arm)
+        controller = arm.controller
+        controller._halt = lambda: (controller.motion.freeze(), controller.interpreter.pause())  # type: ignore[method-assign]
+        controller.protective_stop("test")
+        await arm.until(lambda: arm.samples[-1].program is Program.PROTECTIVE_STOP)
+        await arm.pass_time(5.5)
+        assert controller.runtime_state in (RuntimeState.PAUSING, RuntimeState.PAUSED)
+        arm.driver.unlock()
+        await arm.until(lambda: arm.samples[-1].safety_mode == 1)
+        await arm.pass_time(0.1)
+        assert controller.runtime_state is RuntimeState.STOPPED
+
+
 # --- the world of a simulated arm
 
 
