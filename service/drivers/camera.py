@@ -50,7 +50,8 @@ class ZenohCamera:
     """A camera that publishes `wire.CAMERA` records; the newest one counts, as long as it is fresh.
 
     A frame that comes again, or after a newer one, refreshes nothing: a camera that hangs behind a publisher that does
-    not is as good as none. One of another publisher, by its `epoch`, or of a world laid out anew, is the first.
+    not is as good as none. One of a world laid out anew is the first. Two publishers at once, by their `epoch`, are
+    none: one of them may look at another cell.
 
     Args:
         endpoint: of the publisher.
@@ -67,7 +68,7 @@ class ZenohCamera:
         self._lock = threading.Lock()
         self._newest: tuple[float, Array] | None = None
         self._episode = self._epoch = 0
-        self._time_s = -math.inf
+        self._time_s = self._heard_s = self._rival_s = -math.inf
         self._told = False
         self._session: zenoh.Session | None = None
 
@@ -82,8 +83,8 @@ class ZenohCamera:
 
     def estimate(self, now: float) -> Array | None:
         with self._lock:
-            newest = self._newest
-        if newest is None or now - newest[0] > self._max_age_s:
+            newest, rival_s = self._newest, self._rival_s
+        if newest is None or now - rival_s <= self._max_age_s or now - newest[0] > self._max_age_s:
             return None
         return newest[1]
 
@@ -106,6 +107,10 @@ class ZenohCamera:
         position = np.array(row["position"], np.float64)
         epoch, episode, time_s = int(row["epoch"]), int(row["episode"]), float(row["time_s"])
         with self._lock:
+            if epoch != self._epoch and arrival_s - self._heard_s <= self._max_age_s:
+                self._rival_s = arrival_s
+                return
+            self._heard_s = arrival_s
             if (epoch, episode) == (self._epoch, self._episode) and not time_s > self._time_s:
                 return
             self._epoch, self._episode, self._time_s = epoch, episode, time_s

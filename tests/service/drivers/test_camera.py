@@ -29,8 +29,9 @@ def listening(endpoint: str) -> Iterator[zenoh.Session]:
         close_session(session)
 
 
-def frame(position: tuple[float, float, float], episode: int = 4, time_s: float = 61.5) -> bytes:
+def frame(position: tuple[float, float, float], episode: int = 4, time_s: float = 61.5, epoch: int = 0) -> bytes:
     record = wire.new(wire.CAMERA, wire.Kind.CAMERA)
+    record[0]["epoch"] = epoch
     record[0]["episode"], record[0]["position"], record[0]["time_s"] = episode, position, time_s
     return record.tobytes()
 
@@ -96,6 +97,26 @@ async def test_a_frame_that_comes_again_and_again_grows_old_all_the_same() -> No
             assert camera.estimate(now) is None
             newer = frame((0.3, -0.1, 0.08), time_s=61.6)
             await publish_until(session, newer, lambda: camera.estimate(now) is not None)
+        finally:
+            await camera.close()
+
+
+async def test_two_cameras_under_one_key_are_none_until_one_is_silent() -> None:
+    endpoint = free_endpoint()
+    now = 100.0
+    camera = ZenohCamera(endpoint, KEY, 0.2, lambda: now)
+    with listening(endpoint) as session:
+        await camera.open()
+        try:
+            ours, other = frame((0.3, -0.1, 0.08), epoch=7), frame((0.35, -0.1, 0.08), epoch=8, time_s=90.0)
+            await publish_until(session, ours, lambda: camera.estimate(now) is not None)
+            await publish_until(session, other, lambda: camera.estimate(now) is None)
+            session.put(KEY, frame((0.3, -0.1, 0.08), epoch=7, time_s=61.6))
+            await asyncio.sleep(0.1)
+            assert camera.estimate(now) is None
+            now = 100.3
+            await publish_until(session, other, lambda: camera.estimate(now) is not None)
+            assert camera.estimate(now) == pytest.approx([0.35, -0.1, 0.08])
         finally:
             await camera.close()
 
