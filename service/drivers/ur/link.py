@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from typing import Literal
 
 from service.config import UrSection
@@ -129,7 +129,8 @@ class UrLink:
         """Connect, agree on recipes and let data flow; drops an older connection.
 
         Raises:
-            DriverError: LINK, not reached; AUTHORITY, a register is in use; PROTOCOL, a variable is missing.
+            DriverError: LINK, not reached; AUTHORITY, a register is in use or the arm does not take a stop; PROTOCOL, a
+                variable is missing.
         """
         self.package = None
         self._arrivals = ArrivalClock()
@@ -143,7 +144,9 @@ class UrLink:
         self.outbox.begin(self.newest.handled)
         if await self._is_alive() and self.newest.program == Program.ENGAGED:
             self.outbox.stop()  # nobody drives the arm that an earlier connection engaged
-            await self.until(lambda package: package.program == Program.IDLE, STOPPED_S)
+            if not await self.until(lambda new: new.program == Program.IDLE or not self.watch.running, STOPPED_S):
+                text = "the arm was found engaged and does not take a stop: stop its program on the pendant"
+                raise DriverError(FaultCode.AUTHORITY, text)
 
     async def close(self) -> None:
         """End the connection; the watchdog ends the program."""
@@ -209,7 +212,7 @@ class UrLink:
         return self.newest.time_s - begun_s
 
     @contextlib.contextmanager
-    def silence(self) -> Iterator[None]:
+    def silence(self) -> Generator[None]:
         """Write nothing while the context lasts, so that the controller's watchdog ends the program."""
         self._silences += 1
         try:

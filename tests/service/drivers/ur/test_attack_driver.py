@@ -1,6 +1,7 @@
 """Attacks on the driver: what a controller, a pendant or an earlier client may do to it between and under runs."""
 
 import asyncio
+import itertools
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from service.faults import FaultCode
 from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState
 from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.controller import Controller
+from tests.service.drivers.ur.cells import ur_config
 from tests.service.drivers.ur.emulated import Emulated, emulated
 from tests.service.drivers.ur.test_driver import COMPLIANCE, FOREIGN, LIMITS, SETUP, engaged, step
 
@@ -305,3 +307,20 @@ async def test_a_link_whose_delay_creeps_up_is_stale() -> None:
             if arm.faults:
                 break
         assert [code for code, _ in arm.faults] == [FaultCode.STALE]
+
+
+async def test_an_arm_that_is_found_engaged_and_takes_no_stop_is_not_connected() -> None:
+    async with emulated(ur_config(ur={"watchdog_hz": 2.0})) as arm:
+        await moving(arm)
+        await arm.driver._link.close()
+        receive = arm.controller.inputs.receive
+        numbers = itertools.count(1_000_000)
+
+        def deaf(names, values, due: int) -> None:
+            pose = arm.controller.motion.target_tcp_pose()
+            receive(names, (next(numbers), Command.TARGET, *pose, *([0.0] * 18)), due)
+
+        arm.controller.inputs.receive = deaf  # type: ignore[method-assign]
+        with pytest.raises(DriverError, match="does not take a stop") as refused:
+            await arm.driver.connect(arm)
+        assert refused.value.code is FaultCode.AUTHORITY
