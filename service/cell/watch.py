@@ -30,6 +30,10 @@ async def keep_linked(cell: Cell) -> None:
         except (DriverError, OSError) as error:
             cell.lose_link(str(error))
             await asyncio.sleep(RECONNECT_S)
+        except Exception as error:  # a defect must not leave the cell without its link for good
+            _log.exception("connect")
+            cell.lose_link(f"{type(error).__name__}: {error}")
+            await asyncio.sleep(RECONNECT_S)
         else:
             cell.linked()
             await asyncio.sleep(RECONNECT_S)  # a link that breaks at once is not tried without pause

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from service.drivers.base import Program
+from service.drivers.ur.driver import UrDriver
 from service.faults import FaultCode
 from service.messages import CellState, StopRequest
 from service.testing import Bench
@@ -95,3 +96,19 @@ async def test_packages_that_come_twice_or_out_of_order_on_a_living_link_do_not_
     arm.plant.flange_wrench = lambda: [0.0, 0.0, ceiling_n + 5.0, 0.0, 0.0, 0.0]  # type: ignore[method-assign]
     await cell.state(CellState.LATCHED)
     await assert_stands(cell)
+
+
+async def test_a_defect_while_connecting_does_not_end_the_attempts(tmp_path: Path, monkeypatch) -> None:
+    connect, attempts = UrDriver.connect, []
+
+    async def breaks_once(self, sink) -> None:
+        attempts.append(sink)
+        if len(attempts) == 1:
+            raise ValueError("a defect")
+        await connect(self, sink)
+
+    monkeypatch.setattr(UrDriver, "connect", breaks_once)
+    config = ur_cell_config(tmp_path / "state", policies.straight(tmp_path), conditions="easy")
+    async with asyncio.timeout(20.0), lockstep_ur_cell(config) as bench:
+        assert bench.cell.state is CellState.READY
+    assert len(attempts) == 2
