@@ -242,9 +242,9 @@ def _speeds(a: Value, v: Value, t: Value) -> tuple[float, float, float]:
 
 def _positive(value: Value, what: str) -> float:
     result = number(value, what)
-    if not _LEAST <= result <= _MOST:
+    if not 0.0 < result <= _MOST:
         raise ScriptRuntimeError(f"{what} must be larger than 0 and no more than {_MOST:.0f}, not {result}")
-    return result
+    return max(result, _LEAST)  # UR's client asks for accelerations of 1e-11, what rounding leaves of none
 
 
 def _not_negative(value: Value, what: str) -> float:
