@@ -152,7 +152,7 @@ async def lockstep_cell(
     """Run a cell on a simulated world in this process while the context lasts; READY or LATCHED on entry.
 
     Args:
-        config: of the cell.
+        config: of the cell; its arm is the plain simulated one, whatever `cell.driver` says.
         wrap: puts something between cell and driver: a fault injector, a recorder.
         inference: None computes in the loop.
         world: None makes one of the first recipe's part.
