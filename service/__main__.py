@@ -1,7 +1,7 @@
 """`python -m service run` runs the control process of one cell; `schema` prints what its configuration may hold.
 
-`python -m service ur …` is for the operator of a Universal Robots arm: the start-up gate, power, and the release from a
-protective stop.
+`python -m service ur …` is for the operator of a Universal Robots arm: the start-up gate, power, the release from a
+protective stop, and the gripper.
 """
 
 import asyncio
@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Coroutine
 from contextlib import AbstractContextManager, nullcontext
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -28,6 +29,7 @@ from service.drivers.stage import ZenohStage
 from service.drivers.ur import gate, recovery
 from service.drivers.ur.dashboard import DashboardError
 from service.drivers.ur.driver import UrDriver
+from service.drivers.ur.gripper import Gripper, GripperError, Status
 from service.drivers.ur.program import ProgramError
 from service.drivers.zenoh_sim import ZenohSimDriver
 from service.faults import FaultCode
@@ -106,6 +108,38 @@ def unlock(config: ConfigPath = None) -> None:
     _do(lambda: recovery.unlock(ur))
 
 
+class GripperAction(StrEnum):
+    """What an operator may ask of the gripper."""
+
+    STATUS = "status"
+    ACTIVATE = "activate"
+    OPEN = "open"
+    CLOSE = "close"
+
+
+@ur_app.command()
+def gripper(action: GripperAction, config: ConfigPath = None) -> None:
+    """Ask a Robotiq gripper how it stands, or move its fingers: opening, and activating, drops what they hold."""
+    ur = _ur_of(_load(config))
+    status = _do(lambda: _ask_gripper(Gripper(ur.host, ur.gripper_port), action))
+    state = "active" if status.is_active else "not activated"
+    held = "holds something" if status.holds_object else "holds nothing"
+    typer.echo(f"{state}, {held}, {status.opening_mm:.1f} mm open, fault {status.fault}")
+
+
+async def _ask_gripper(fingers: Gripper, action: GripperAction) -> Status:
+    async with fingers:
+        match action:
+            case GripperAction.STATUS:
+                return await fingers.status()
+            case GripperAction.ACTIVATE:
+                return await fingers.activate()
+            case GripperAction.OPEN:
+                return await fingers.open()
+            case GripperAction.CLOSE:
+                return await fingers.close()
+
+
 class _Onlooker:
     """Takes a driver's samples and needs none of them."""
 
@@ -170,7 +204,7 @@ def _do(errand: Callable[[], Coroutine[Any, Any, T]]) -> T:
     """Run an operator's errand; one that fails says why and ends the command."""
     try:
         return asyncio.run(errand())
-    except (DashboardError, OSError) as error:
+    except (DashboardError, GripperError, OSError) as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(EXIT_FAILED) from error
 

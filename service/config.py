@@ -202,6 +202,7 @@ class UrSection(Section):
         rtde_port: of its real-time data exchange.
         dashboard_port: of its dashboard server.
         primary_port: of its primary interface, which takes the control program.
+        gripper_port: of the server of a Robotiq gripper's URCap, for `python -m service ur gripper`.
         simulated: whether it is the emulated controller of this project, whose world is laid out from a seed; `sim`
             then names that world.
         payload_kg: mass of all that the flange carries.
@@ -220,6 +221,7 @@ class UrSection(Section):
     rtde_port: Port = 30004
     dashboard_port: Port = 29999
     primary_port: Port = 30001
+    gripper_port: Port = 63352
     simulated: bool = False
     payload_kg: Annotated[float, Field(ge=0.0, le=50.0, allow_inf_nan=False)]
     payload_com_m: Position

@@ -51,7 +51,7 @@ def robot() -> Iterator[Robot]:
         line = process.stdout.readline()
         assert line.startswith("ready"), line
         said = dict(part.split("=", 1) for part in line.split()[1:])
-        yield Robot({name: int(said[name]) for name in ("rtde", "dashboard", "primary")}, endpoint)
+        yield Robot({name: int(said[name]) for name in ("rtde", "dashboard", "primary", "gripper")}, endpoint)
     finally:
         process.kill()
         process.wait()
@@ -93,6 +93,16 @@ def service(*arguments: str) -> subprocess.CompletedProcess[str]:
         timeout=60,
         check=False,
     )
+
+
+def test_an_operator_moves_the_gripper(config: Path) -> None:
+    def ask(action: str) -> subprocess.CompletedProcess[str]:
+        return service("ur", "gripper", action, "--config", str(config))
+
+    assert "holds something" in ask("status").stdout, "the world begins with the peg in the fingers"
+    assert "active, holds nothing, 85.0 mm open" in ask("open").stdout
+    assert "holds something, 28." in ask("close").stdout
+    assert "holds something" in ask("status").stdout
 
 
 def test_an_operator_checks_switches_off_and_on_again(config: Path) -> None:
