@@ -24,7 +24,6 @@ from sim_backend.realtime import request_scheduling
 from sim_backend.server import Mode, Server
 from sim_backend.session import DEFAULT_ENDPOINT, DEFAULT_WORLD, EndpointError, check_host, open_session
 from sim_backend.ur_controller.controller import Controller
-from sim_backend.ur_controller.listener import ListenError
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer, Ports
 from sim_backend.ur_controller.stage import Stage
@@ -88,6 +87,9 @@ def ur_controller(
         list[str] | None, typer.Option(help="Zenoh endpoint for what surrounds the arm; none unless given.")
     ] = None,
     connect: Annotated[list[str] | None, typer.Option(help="Zenoh endpoint to join, likewise.")] = None,
+    programs: Annotated[
+        Path | None, typer.Option(help="Folder of URScript files: NAME.script can be loaded as NAME.urp.")
+    ] = None,
     allow_remote: Annotated[bool, typer.Option(help="Allow addresses outside this machine.")] = False,
 ) -> None:
     """Serve an emulated e-Series controller whose arm is the simulated one, until SIGINT, SIGTERM or its shutdown."""
@@ -103,11 +105,13 @@ def ur_controller(
             plant = Plant(World(1, task.part))
             plant.lay_out(task)
             controller = Controller(plant)
+            if programs is not None:
+                controller.programs |= _read_programs(programs)
             server = stack.enter_context(
                 contextlib.closing(ControllerServer(controller, host, ANY_PORTS if any_ports else Ports()))
             )
             stage = Stage(controller, server, session, world, refused) if session is not None else None
-        except (ListenError, ValueError) as error:
+        except (OSError, ValueError) as error:
             _fail(str(error), EXIT_USAGE)
         if stage is not None:
             stack.enter_context(contextlib.closing(stage))
@@ -119,6 +123,13 @@ def ur_controller(
         typer.echo(" ".join(["ready", *(f"{name}={value}" for name, value in ready.items())]))
         sys.stdout.flush()
         server.run(stage)
+
+
+def _read_programs(folder: Path) -> dict[str, str]:
+    files = sorted(folder.glob("*.script"))
+    if not files:
+        raise ValueError(f"no *.script file in {folder}")
+    return {f"{file.stem}.urp": file.read_text(encoding="utf-8") for file in files}
 
 
 @app.command()

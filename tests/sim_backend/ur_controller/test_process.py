@@ -121,3 +121,25 @@ def test_a_port_in_use_is_one_line_and_exit_code_2() -> None:
     assert process.returncode == 2
     lines = [line for line in process.stderr.splitlines() if not line.startswith("degraded:")]
     assert lines == [f"sim_backend: cannot listen at {HOST}:29999: Address already in use"]
+
+
+def test_programs_of_a_folder_are_loaded_and_played_from_the_dashboard(tmp_path: Path) -> None:
+    (tmp_path / "nod.script").write_text("def nod():\n  movej([0.1, -1.9, -1.7, -1.1, 1.57, 0.0])\nend\n")
+    with served("--any-ports", "--programs", str(tmp_path)) as process:
+        with socket.create_connection(process.port("dashboard"), PATIENCE_S) as dashboard:
+            lines = dashboard.makefile("rw", newline="\n")
+            lines.readline()
+            said = []
+            for order in ("load nod.urp", "play"):
+                lines.write(order + "\n")
+                lines.flush()
+                said.append(lines.readline().strip())
+        peer = Peer(process.port("rtde"), lambda: time.sleep(0.001))
+        peer.begin("actual_q")
+        moved = any(abs(peer.data("6d")[0] - 0.1) < 0.01 for _ in range(3000))
+        peer.socket.close()
+    assert said == ["Loading program: nod.urp", "Starting program"]
+    assert moved
+    process = subprocess.run([*COMMAND, "--programs", str(tmp_path / "none")], cwd=ROOT, capture_output=True, text=True)
+    assert process.returncode == 2
+    assert "no *.script file" in process.stderr
