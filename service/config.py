@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
 from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM, LockMode
@@ -353,12 +354,21 @@ def load(path: Path | None = None) -> CellConfig:
     try:
         return _with_absolute_paths(CellConfig(**document), path.parent)
     except ValidationError as error:
-        lines = [f"  {_field(problem['loc'])}: {problem['msg']}" for problem in error.errors()]
+        lines = [f"  {_field(problem['loc'])}: {_said(problem)}" for problem in error.errors()]
         raise ConfigError("\n".join([f"{path} cannot be used:", *lines])) from error
 
 
 def _field(location: tuple[int | str, ...]) -> str:
     return ".".join(str(part) for part in location) or "(whole file)"
+
+
+def _said(problem: ErrorDetails) -> str:
+    if problem["type"] == "extra_forbidden":
+        return "no such field; `python -m service schema` lists them"
+    if problem["type"] == "value_error":
+        return problem["msg"].removeprefix("Value error, ")
+    given = f", not {problem['input']!r}" if isinstance(problem["input"], str | int | float) else ""
+    return problem["msg"] + given
 
 
 def _with_absolute_paths(config: CellConfig, base: Path) -> CellConfig:

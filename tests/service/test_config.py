@@ -65,7 +65,7 @@ def test_no_limit_of_the_pre_flight_may_lie_beyond_what_the_cell_may_measure(
 
 
 def test_an_unknown_field_is_refused_by_its_name(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"limits\.force_celing_n: Extra inputs"):
+    with pytest.raises(ConfigError, match=r"limits\.force_celing_n: no such field"):
         load(written(tmp_path, "force_ceiling_n = 30.0", "force_ceiling_n = 30.0\nforce_celing_n = 10.0"))
 
 
