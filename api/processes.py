@@ -7,6 +7,7 @@ Ctrl-C in the API's terminal nor its death reaches them: a run goes on without t
 import asyncio
 import contextlib
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -46,8 +47,10 @@ class Started:
         if self.process.poll() is None:
             return None
         lines = self.log.read_text(errors="replace").strip().splitlines()
-        last = f": {lines[-1][:300]}" if lines else ""
-        return f"The {self.name} (pid {self.process.pid}) ended with status {self.process.returncode}{last}"
+        status = self.process.returncode
+        # one that was killed had no time to say why
+        last = f": {lines[-1][:300]}" if lines and status != -signal.SIGKILL else ""
+        return f"The {self.name} (pid {self.process.pid}) ended with status {status}{last}. Nothing restarts it."
 
 
 class CellProcesses:

@@ -80,7 +80,8 @@ def check(config: ConfigPath = None) -> None:
     table = Table("check", "verdict", "measured", "what to do")
     for line in driver.checks:
         table.add_row(line.name, line.verdict, line.measured, line.remedy)
-    Console(soft_wrap=True).print(table)
+    if driver.checks:
+        Console(soft_wrap=True).print(table)
     if failure is not None:
         typer.echo(failure, err=True)
     if failure is not None or any(line.verdict is not gate.Verdict.PASSED for line in driver.checks):
@@ -92,6 +93,7 @@ def power_on(config: ConfigPath = None) -> None:
     """Switch the arm on and release its brakes; it moves by millimetres as they open."""
     ur = _ur_of(_load(config))
     _do(lambda: recovery.power_on(ur))
+    typer.echo("the arm is on and holds itself")
 
 
 @ur_app.command()
@@ -99,6 +101,7 @@ def power_off(config: ConfigPath = None) -> None:
     """Switch the arm off; its brakes close."""
     ur = _ur_of(_load(config))
     _do(lambda: recovery.power_off(ur))
+    typer.echo("the arm is off")
 
 
 @ur_app.command()
@@ -106,6 +109,7 @@ def unlock(config: ConfigPath = None) -> None:
     """Leave a protective stop whose cause you have inspected, 5 s after it occurred at the earliest."""
     ur = _ur_of(_load(config))
     _do(lambda: recovery.unlock(ur))
+    typer.echo("the protective stop is left; no program runs")
 
 
 class GripperAction(StrEnum):

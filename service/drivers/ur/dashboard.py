@@ -105,7 +105,8 @@ class DashboardClient:
             ) from error
         except OSError as error:
             raise DashboardError(
-                Reason.UNREACHABLE, f"cannot reach the dashboard server at {where}: {error}"
+                Reason.UNREACHABLE,
+                f"cannot reach the dashboard server at {where}: {error}; is the controller on, the address right?",
             ) from error
         self._streams = streams
         greeting = await self._line(*streams, "the greeting")

@@ -63,7 +63,8 @@ class SetupError(RtdeError):
         parts: list[str] = []
         if held:
             parts.append(
-                f"in use by another client or a field bus: {', '.join(held)}; disconnect it or take other registers"
+                f"in use by another client or a field bus: {', '.join(held)}; end or disconnect it, a control process "
+                "that still runs included"
             )
         if unknown:
             parts.append(f"not known to the controller: {', '.join(unknown)}; check the spelling and its version")
