@@ -78,8 +78,10 @@ function rows(runs) {
   return runs.map((run) => {
     const row = document.createElement("tr");
     const outcome = good[run.state] ?? `✗ ${run.code ?? run.state}`;
+    const measured = run.state !== "INTERRUPTED"; // what was measured of it died with the control process
     const cells = [clock(run.requested_at), run.recipe, run.seed ?? "–", outcome,
-      run.depth_m === null ? "–" : `${number(1e3 * run.depth_m, 1)} mm`, `${number(run.peak_force_n, 1)} N`, `${number(run.duration_s, 1)} s`];
+      run.depth_m === null ? "–" : `${number(1e3 * run.depth_m, 1)} mm`,
+      measured ? `${number(run.peak_force_n, 1)} N` : "–", measured ? `${number(run.duration_s, 1)} s` : "–"];
     for (const text of cells) row.insertCell().textContent = text;
     row.cells[3].className = run.state === "SUCCEEDED" ? "good" : run.state === "ACTIVE" ? "" : "bad";
     row.title = run.text;

@@ -125,7 +125,7 @@ class Journal:
         if ledger.interrupted:
             run = ledger.interrupted[-1]
             text = f"run {run.id} was under way when the control process ended: {then}"
-            self.set_latch(FaultCode.INTERRUPTED, text, run.id, run.peak_force_n)
+            self.set_latch(FaultCode.INTERRUPTED, text, run.id, None)  # what was measured died with the process
         elif ledger.unacknowledged is not None:
             code, run_id = ledger.unacknowledged
             text = f"the ledger has a stop by {code} without a reset after it, the latch's file has none: {then}"

@@ -59,7 +59,7 @@ class Ledger:
                 update={
                     "state": RunState.INTERRUPTED,
                     "code": FaultCode.INTERRUPTED,
-                    "text": "the control process ended before the run did",
+                    "text": "the control process ended before the run did; its force and duration are not recorded",
                     "ended_at": now,
                 }
             )
