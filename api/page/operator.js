@@ -78,7 +78,8 @@ function rows(runs) {
   return runs.map((run) => {
     const row = document.createElement("tr");
     const outcome = good[run.state] ?? `✗ ${run.code ?? run.state}`;
-    const measured = run.state !== "INTERRUPTED"; // what was measured of it died with the control process
+    // Where the control process died, what was measured died with it.
+    const measured = run.state !== "INTERRUPTED" || run.peak_force_n > 0;
     const cells = [clock(run.requested_at), run.recipe, run.seed ?? "–", outcome,
       run.depth_m === null ? "–" : `${number(1e3 * run.depth_m, 1)} mm`,
       measured ? `${number(run.peak_force_n, 1)} N` : "–", measured ? `${number(run.duration_s, 1)} s` : "–"];

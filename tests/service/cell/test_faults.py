@@ -373,6 +373,7 @@ async def test_53_a_control_process_that_died_leaves_its_run_interrupted_and_the
     async with lockstep_cell(cell_config(tmp_path / "after", policies.still(tmp_path))) as bench:
         assert bench.cell.state is CellState.LATCHED
         assert bench.cell.journal.latch.code is FaultCode.INTERRUPTED
+        assert bench.cell.journal.latch.peak_force_n is None, "nobody knows it any more"
         assert bench.cell.runs.find(run.id).state is RunState.INTERRUPTED
 
 
