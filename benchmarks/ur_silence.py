@@ -30,6 +30,8 @@ LATER_S = 0.1
 """At most, from contact to the kill."""
 WATCHED_S = 0.6
 """From the last package on: watchdog, stop, and standing still for a while."""
+STILL_S = 0.1
+"""So long below the standstill's speed is standing."""
 FORCES_N = (3.0, 25.0)
 HEIGHTS_M = (0.0, 0.005)
 LONGEST_PRESS_TICKS = 2000
@@ -40,7 +42,7 @@ class Silence(NamedTuple):
 
     Attributes:
         ended_s: from the last package to the program's end.
-        stood_s: from there to the standstill of the TCP.
+        stood_s: from the last package to the standstill of the TCP.
         at_n: true force on the peg at the last package.
         peak_n: and the largest from then on.
     """
@@ -85,7 +87,7 @@ def measure(scale: float) -> Result:
         f"{LATER_S * 1e3:.0f} ms after the peg has begun to press in an insertion. Muted: tick by tick in this "
         f"process, the peg over the block beside the hole, a host that writes no register any more at a true force of "
         f"{FORCES_N[0]:g}-{FORCES_N[1]:g} N, or {HEIGHTS_M[0] * 1e3:g}-{HEIGHTS_M[1] * 1e3:g} mm above the block. All "
-        f"times from the last package; standstill below {STANDSTILL_M_S * 1e3:g} mm/s from then on.",
+        f"times from the last package; standstill: below {STANDSTILL_M_S * 1e3:g} mm/s for {STILL_S * 1e3:g} ms.",
     )
 
 
@@ -174,13 +176,17 @@ def _silence(record: npt.NDArray[np.float64], killed_s: float) -> Silence:
 def _ends(
     times_s: npt.NDArray[np.float64], runs: npt.NDArray[np.float64], speed: npt.NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Times at which the program had ended, and from which on the TCP stood.
+    """Times at which the program had ended, and from which on the TCP stood for `STILL_S`.
+
+    A peg that is left under load may slip into its hole long after the arm has come to rest; that is no motion of it.
+    Infinite where the TCP never stands: a jammed peg may go on vibrating, by micrometres, above that speed.
 
     Raises:
-        UnavailableError: one of them never came.
+        UnavailableError: the program did not end.
     """
-    moving = np.flatnonzero(speed >= STANDSTILL_M_S)
-    first = int(moving[-1]) + 1 if len(moving) else 0
-    if runs.all() or first == len(times_s):
-        raise UnavailableError("the program did not end, or the arm did not come to rest, after the last package")
-    return float(times_s[int(np.argmin(runs))]), float(times_s[first])
+    ticks = round(STILL_S / TICK_S)
+    stands = np.convolve(speed < STANDSTILL_M_S, np.ones(ticks), "valid") > ticks - 0.5
+    if runs.all():
+        raise UnavailableError("the program did not end after the last package")
+    stood_s = float(times_s[int(np.argmax(stands))]) if stands.any() else float("inf")
+    return float(times_s[int(np.argmin(runs))]), stood_s
