@@ -80,8 +80,8 @@ class CellProcesses:
             return
         self.note = "It is being started."
         try:
-            if self._simulator is not None:
-                await self._start_sim(self._simulator)
+            if (arguments := self._config.simulator_arguments) is not None:
+                await self._start_sim(arguments)
             self._spawn("control process", "service", ["run", "--config", str(self._path)])
         except TimeoutError:
             self.note = f"The simulator does not listen at {self._config.sim.endpoint} after {SIM_START_S} s."
@@ -116,17 +116,7 @@ class CellProcesses:
             running = [started for started in running if started.process.returncode is None]
             await asyncio.sleep(POLL_S)
 
-    @property
-    def _simulator(self) -> list[str] | None:
-        """Arguments of the simulator that the driver needs; None for a real arm."""
-        sim, ur = self._config.sim, self._config.ur
-        if self._config.cell.driver == "zenoh_sim":
-            return ["serve", "--world", sim.world, "--mode", sim.mode.replace("_", "-"), "--listen", sim.endpoint]
-        if ur is not None and ur.simulated:
-            return ["ur-controller", "--host", ur.host, "--world", sim.world, "--listen", sim.endpoint]
-        return None
-
-    async def _start_sim(self, arguments: list[str]) -> None:
+    async def _start_sim(self, arguments: Sequence[str]) -> None:
         sim = self._config.sim
         if await _listens(sim.endpoint):
             return

@@ -24,7 +24,7 @@ from service.cell import process
 from service.config import CellConfig, ConfigError, UrSection, load
 from service.drivers.base import Driver, DriverError, Sample
 from service.drivers.camera import ZenohCamera
-from service.drivers.sim_process import emulated_controller, simulator
+from service.drivers.sim_process import simulator
 from service.drivers.stage import ZenohStage
 from service.drivers.ur import gate, recovery
 from service.drivers.ur.dashboard import DashboardError
@@ -196,12 +196,11 @@ def _driver(cell: CellConfig) -> Driver:
 
 def _world(cell: CellConfig) -> AbstractContextManager[object]:
     """Have the simulated world that the driver talks to, where the configuration asks for it."""
-    sim, ur = cell.sim, cell.ur
-    if not sim.autostart:
+    arguments, ur = cell.simulator_arguments, cell.ur
+    if arguments is None or not cell.sim.autostart:
         return nullcontext()
-    if ur is None or cell.cell.driver != "ur":
-        return simulator(sim.world, sim.endpoint, sim.mode)
-    return emulated_controller(ur.host, ur.rtde_port, sim.world, sim.endpoint) if ur.simulated else nullcontext()
+    robot = [f"tcp/{ur.host}:{ur.rtde_port}"] if ur is not None and cell.cell.driver == "ur" else []
+    return simulator(arguments, [*robot, cell.sim.endpoint])
 
 
 def _do(errand: Callable[[], Coroutine[Any, Any, T]]) -> T:

@@ -323,6 +323,17 @@ class CellConfig(BaseSettings):
             )
         return self
 
+    @property
+    def simulator_arguments(self) -> tuple[str, ...] | None:
+        """Of `python -m sim_backend`: the simulator that the driver talks to; None where it talks to a real arm."""
+        sim, ur = self.sim, self.ur
+        world = ("--world", sim.world, "--listen", sim.endpoint)
+        if self.cell.driver == "zenoh_sim":
+            return ("serve", "--mode", sim.mode.replace("_", "-"), *world)
+        if ur is not None and ur.simulated:
+            return ("ur-controller", "--host", ur.host, *world)
+        return None
+
     @classmethod
     def settings_customise_sources(
         cls,

@@ -10,14 +10,12 @@ import numpy.typing as npt
 from sim_backend import quaternion
 from sim_backend.arm import Limits
 from sim_backend.protocol import pose
+from sim_backend.protocol.rtde.modes import RobotMode, SafetyMode
 from sim_backend.protocol.task import Part, Task
 from sim_backend.protocol.wire import STATE, TICK_S, Kind, Program, StopReason, new
 from sim_backend.world import World
 
 Record = npt.NDArray[Any]
-
-ROBOT_MODE_RUNNING = 7
-SAFETY_MODE_NORMAL, SAFETY_MODE_PROTECTIVE_STOP = 1, 3
 
 _ENGAGE_RANGES = {
     "stiffness": (0.0, 1e6),
@@ -124,8 +122,8 @@ class SimulatedCell:
         row["command_seq"], row["client"] = self._command_seq, self._client
         program = int(arm.program[0])
         row["program"], row["stop_reason"] = program, arm.stop_reason[0]
-        row["robot_mode"] = ROBOT_MODE_RUNNING
-        row["safety_mode"] = SAFETY_MODE_PROTECTIVE_STOP if program == Program.PROTECTIVE_STOP else SAFETY_MODE_NORMAL
+        row["robot_mode"] = RobotMode.RUNNING
+        row["safety_mode"] = SafetyMode.PROTECTIVE_STOP if program == Program.PROTECTIVE_STOP else SafetyMode.NORMAL
         row["saturated"] = world.sensor.saturated[0]
         return record
 

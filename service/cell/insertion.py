@@ -14,7 +14,7 @@ import numpy.typing as npt
 from service.cell.path import Progress, StraightPath
 from service.cell.plan import Plan
 from service.cell.records import Disengage, Engage, Enter, Fail, Halt, Infer, Move, Order, Succeed, TickRecord, ZeroFt
-from service.drivers.base import PoseTarget, Program, Sample, StopReason
+from service.drivers.base import PoseTarget, Program, RobotMode, SafetyMode, Sample, StopReason
 from service.faults import FaultCode
 from service.messages import CellState
 from service.policy.observation import Measurement
@@ -57,7 +57,6 @@ ARM_STOPS: dict[StopReason, FaultCode] = {
     StopReason.PROGRAM_ENDED: FaultCode.AUTHORITY,
 }
 """What it means when the arm's own controller stops under us."""
-ROBOT_MODE_RUNNING, SAFETY_MODE_NORMAL = 7, 1
 
 
 class Stage(StrEnum):
@@ -162,7 +161,7 @@ class Insertion:
     def _judge_arm(self, sample: Sample) -> Halt | None:
         if sample.program is Program.PROTECTIVE_STOP:
             return Halt(FaultCode.PROTECTIVE_STOP, "the arm is in its protective stop: inspect the cell, then reset")
-        if sample.robot_mode != ROBOT_MODE_RUNNING or sample.safety_mode != SAFETY_MODE_NORMAL:
+        if sample.robot_mode != RobotMode.RUNNING or sample.safety_mode != SafetyMode.NORMAL:
             modes = f"robot mode {sample.robot_mode}, safety mode {sample.safety_mode}"
             return Halt(FaultCode.AUTHORITY, f"the arm is not ours to move: {modes}")
         driven = self._stage in (Stage.APPROACHING, Stage.INSERTING, Stage.RETRACTING)

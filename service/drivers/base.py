@@ -12,6 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from service.faults import FaultCode
+from sim_backend.protocol.rtde.modes import RobotMode as RobotMode
+from sim_backend.protocol.rtde.modes import SafetyMode as SafetyMode
 from sim_backend.protocol.wire import Program, StopReason
 
 Array = npt.NDArray[np.float64]
@@ -45,8 +47,8 @@ class Sample:
         hole_estimate: (3,) centre of the hole's mouth by the camera, m; None without one.
         program: state of the control program on the arm's controller.
         stop_reason: why that program last left ENGAGED.
-        robot_mode: UR numbering.
-        safety_mode: UR numbering.
+        robot_mode: `RobotMode`, or a number that it does not know.
+        safety_mode: `SafetyMode`, likewise.
         command_seq: last command that the arm accepted.
         peak_force_n: largest resultant since ENGAGE, as the arm's controller itself saw it.
     """

@@ -13,13 +13,12 @@ POLL_S = 0.05
 
 
 @contextmanager
-def simulator(world: str, endpoint: str, mode: str) -> Generator[bool]:
-    """Have a simulator at `endpoint` while the context lasts.
+def simulator(arguments: Sequence[str], endpoints: Sequence[str]) -> Generator[bool]:
+    """Have a simulator while the context lasts.
 
     Args:
-        world: name in its keys.
-        endpoint: `tcp/host:port`.
-        mode: `real_time` or `lockstep`.
+        arguments: of `python -m sim_backend`: `CellConfig.simulator_arguments`.
+        endpoints: `tcp/host:port` of all that it must listen at; the first one tells whether it is there already.
 
     Yields:
         Whether it was started here; one that was there before is joined and left running.
@@ -27,35 +26,6 @@ def simulator(world: str, endpoint: str, mode: str) -> Generator[bool]:
     Raises:
         OSError: it ended at once, or does not listen in time.
     """
-    arguments = ["serve", "--world", world, "--mode", mode.replace("_", "-"), "--listen", endpoint]
-    with _running(arguments, [endpoint]) as started:
-        yield started
-
-
-@contextmanager
-def emulated_controller(host: str, rtde_port: int, world: str, endpoint: str) -> Generator[bool]:
-    """Have an emulated UR controller at `host`, with its world at `endpoint`, while the context lasts.
-
-    Args:
-        host: address that its services listen on, at the ports that a UR controller has.
-        rtde_port: of one of them.
-        world: name in the keys of its world.
-        endpoint: `tcp/host:port` of its world.
-
-    Yields:
-        Whether it was started here; one that was there before is joined and left running.
-
-    Raises:
-        OSError: it ended at once, or does not listen in time.
-    """
-    arguments = ["ur-controller", "--host", host, "--world", world, "--listen", endpoint]
-    with _running(arguments, [f"tcp/{host}:{rtde_port}", endpoint]) as started:
-        yield started
-
-
-@contextmanager
-def _running(arguments: Sequence[str], endpoints: Sequence[str]) -> Generator[bool]:
-    """Run `python -m sim_backend` with `arguments`, unless something listens at the first endpoint."""
     if _listens(endpoints[0]):
         yield False
         return

@@ -110,11 +110,6 @@ class UrLink:
         return (0, 0, 0) if version is None else (version.major, version.minor, version.bugfix)
 
     @property
-    def skipped(self) -> int:
-        """Packages that the controller left out on this connection."""
-        return self._client.skipped
-
-    @property
     def newest(self) -> Package:
         """The newest package.
 

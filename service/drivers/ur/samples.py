@@ -11,7 +11,7 @@ from service.drivers.base import Array, Sample
 from service.drivers.ur import registers
 from sim_backend.protocol import pose
 from sim_backend.protocol.rtde.codec import Decoded
-from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState, SafetyMode
+from sim_backend.protocol.rtde.modes import RuntimeState, SafetyMode
 from sim_backend.protocol.wire import TICK_S, Program, StopReason
 
 ALIVE_S = 0.1
@@ -58,11 +58,6 @@ class Package(NamedTuple):
     def tick(self) -> int:
         """The controller's step, from its time stamp."""
         return round(self.time_s / TICK_S)
-
-    @property
-    def is_ready(self) -> bool:
-        """Whether the arm is powered, its brakes released and its safety system content."""
-        return self.robot_mode == RobotMode.RUNNING and self.safety_mode == SafetyMode.NORMAL
 
 
 OUTPUTS: tuple[str, ...] = (
