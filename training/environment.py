@@ -282,10 +282,7 @@ class _Cells:
             raise TypeError(f"unknown setting {', '.join(sorted(unknown))}; known are {known}")
         mode, part = settings.get("mode", "VFTM"), settings.get("part", "tr")
         conditions = settings.get("conditions", "standard")
-        if mode == "FTM" and conditions in ("standard", "transfer"):
-            raise ValueError(
-                f"conditions {conditions!r} put the hole too far from the nominal centre, all that FTM knows"
-            )
+        design.check_conditions(mode, conditions)
         ceiling = settings.get("force_ceiling_n", 30.0)
         if not 0 < ceiling <= FORCE_HARD_MAXIMUM_N:
             raise ValueError(f"force_ceiling_n must be above 0 and at most {FORCE_HARD_MAXIMUM_N:g} N, not {ceiling!r}")
