@@ -12,6 +12,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.policy.observation import Mode
+from service.safety import dsl
 from sim_backend.protocol.task import Conditions, Part
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -101,7 +102,17 @@ class Cell(Section):
 
 
 class Table2(Section):
+    """Table II.
+
+    Attributes:
+        results: name of our policy that was trained on the triangle alone, as the paper's.
+        beside: names of others.
+        conditions: of the transfer.
+        cells: in the paper's order.
+    """
+
     results: str
+    beside: tuple[str, ...]
     conditions: Conditions
     cells: tuple[Cell, ...]
 
@@ -114,20 +125,42 @@ class Level(Section):
     paper: Share | None = None
 
 
+class FtmTarget(Section):
+    results: str
+    clearance_mm: Millimetres
+    target: Share
+
+
 class Strength(Section):
+    """Our own levels.
+
+    Attributes:
+        results: name of the policy that they are set for.
+        beside: names of others.
+        ftm: what the policy without a camera is to reach.
+        peak_force_p99_n: largest 99th percentile of the peak force wanted.
+        levels: in falling order of clearance.
+    """
+
     results: str
     beside: tuple[str, ...]
+    ftm: FtmTarget
     peak_force_p99_n: float
     levels: tuple[Level, ...]
 
 
-class Named(Section):
+class Locked(Section):
+    """A policy under a lock: its own, unless another one is named."""
+
     name: str
     results: str
+    lock: dsl.Mode | None = None
 
 
 class Force(Section):
-    rows: tuple[Named, ...]
+    """What is compared in force; every row with the first."""
+
+    rows: tuple[Locked, ...]
     clearance_mm: tuple[Millimetres, ...]
 
 
