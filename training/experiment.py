@@ -75,6 +75,18 @@ class TaskSection(Section):
         return self
 
 
+class AdmittedSection(Section):
+    """What the policy may be used for, where that is not what it was trained on; a cell refuses anything else.
+
+    Attributes:
+        parts: pegs and holes; none: those of the task.
+        clearance_mm: least and largest clearance per face; none: the task's.
+    """
+
+    parts: tuple[Part, ...] = ()
+    clearance_mm: tuple[Positive, Positive] | None = None
+
+
 class AlgorithmSection(Section):
     """PPO, its network and the size of things.
 
@@ -145,6 +157,7 @@ class Experiment(Section):
         title: what it is, in a line.
         task: what is trained on.
         law: the compliance law about the TCP: `stiffness`, `damping`, `inertia` of six numbers each.
+        admitted: what the policy may be used for.
         algorithm: how.
         evaluation: how it is judged meanwhile.
         seeds: of network, exploration and tasks; one training each.
@@ -155,6 +168,7 @@ class Experiment(Section):
     title: Annotated[str, Field(min_length=1)]
     task: TaskSection
     law: ComplianceLaw = design.LAW
+    admitted: AdmittedSection = AdmittedSection()
     algorithm: AlgorithmSection
     evaluation: EvaluationSection
     seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = (0,)
@@ -175,11 +189,12 @@ class Experiment(Section):
 
     def contract(self) -> PolicyContract:
         """What a policy trained so sees, does and is limited by."""
+        low, high = self.admitted.clearance_mm or self.task.clearance_mm
         return design.contract_for(
             self.task.mode,
             self.task.lock,
-            self.task.parts,
-            clearance_m=self.task.clearance_m,
+            self.admitted.parts or self.task.parts,
+            clearance_m=(low * 1e-3, high * 1e-3),
             max_steps=self.task.max_steps,
             name=self.name,
             law=self.law,

@@ -22,7 +22,7 @@ from training import provenance
 from training.experiment import Experiment, ExperimentError
 
 RUNS = Path("var/training")
-FREE_TO_CHANGE = {"title", "seeds", "evaluation"}
+FREE_TO_CHANGE = {"title", "seeds", "evaluation", "admitted"}
 """Parts of an experiment that may change while a training is under way; so may `algorithm.steps`."""
 
 
