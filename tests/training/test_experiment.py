@@ -30,11 +30,11 @@ def test_every_experiment_of_the_project_can_be_read_and_starts_from_one_that_fi
     experiment = load(name)
     contract = experiment.contract()
     assert contract.name == experiment.name == name
-    assert (contract.mode, contract.dsl.mode, contract.parts) == (
-        experiment.task.mode,
-        experiment.task.lock,
-        experiment.task.parts,
-    )
+    task = experiment.task
+    assert (contract.mode, contract.dsl.mode) == (task.mode, task.lock)
+    assert set(task.parts) <= set(contract.parts)
+    assert contract.clearance_m[0] <= task.clearance_mm[0] * 1e-3
+    assert contract.clearance_m[1] >= task.clearance_mm[1] * 1e-3
     assert (contract.hidden_size > 0) == (experiment.algorithm.memory == "gru")
     if experiment.start_from is not None:
         earlier = load(experiment.start_from)
@@ -72,6 +72,14 @@ def test_a_policy_with_a_memory_sees_one_frame_and_one_without_several(tmp_path:
     assert {entry.history for entry in remembering.observation} == {1}
     assert max(entry.history for entry in none.observation) > 4
     assert (remembering.hidden_size, none.hidden_size) == (128, 0)
+
+
+def test_a_policy_may_be_admitted_for_more_than_it_is_trained_on(tmp_path: Path) -> None:
+    trained = written(tmp_path, MINIMAL)
+    assert (trained.contract().parts, trained.contract().clearance_m) == (("tr",), (1e-3, 2e-3))
+    wider = written(tmp_path, MINIMAL + '[admitted]\nparts = ["tr", "cir"]\nclearance_mm = [0.5, 4.0]\n')
+    assert (wider.contract().parts, wider.contract().clearance_m) == (("tr", "cir"), (0.5e-3, 4e-3))
+    assert wider.task == trained.task
 
 
 def test_a_law_of_its_own_goes_into_the_contract(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from training.export import to_onnx  # noqa: E402
 from training.learn import learn, untrained  # noqa: E402
 from training.run import CheckpointError, Run, read  # noqa: E402
 
-EASY = {"clearance_mm": [3.0, 3.0], "lock": "off", "conditions": "easy", "randomise_plant": False, "max_steps": 40}
+EASY = {"clearance_mm": [3.0, 3.0], "lock": "off", "conditions": "easy", "randomise_plant": False, "max_steps": 80}
 """Without a lock the policy itself must find out to go down."""
 
 
@@ -53,17 +53,18 @@ def test_a_short_training_inserts_on_seeds_it_has_never_seen_what_an_untrained_p
         algorithm={
             "width": 64,
             "hidden": 64,
-            "steps": 30_000,
-            "cells": 64,
+            "steps": 20_000,
+            "cells": 48,
             "workers": 2,
-            "rollout": 20,
-            "learning_rate": 2e-3,
-            "epochs": 10,
-            "minibatches": 4,
+            "rollout": 16,
+            "learning_rate": 3e-3,
+            "epochs": 8,
+            "minibatches": 2,
+            "gamma": 0.95,
+            "gae_lambda": 0.8,
             "entropy": 0.0,
-            "initial_log_std": -0.3,
         },
-        evaluation={"every_steps": 30_000, "episodes": 20},
+        evaluation={"every_steps": 20_000, "episodes": 20},
     )
 
     def judged(network: Any) -> tuple[float, float]:
@@ -73,9 +74,9 @@ def test_a_short_training_inserts_on_seeds_it_has_never_seen_what_an_untrained_p
 
     success, earned = judged(learn(Run(asked, 0, tmp_path)))
     success_before, earned_before = judged(untrained(asked, 0))
-    assert success_before < 0.1
-    assert success > 0.3
-    assert earned > earned_before + 2.0
+    assert success_before < 0.05
+    assert success > 0.2
+    assert earned > earned_before + 2.5
 
 
 def test_a_training_leaves_its_account_its_progress_and_its_best_model(tmp_path: Path) -> None:
