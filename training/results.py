@@ -62,6 +62,7 @@ class EpisodeResult:
         episode_return: sum of its rewards; None where nobody counts them, as in the service.
         success_10mm: the policy, left on, also went 10 mm deep within its time; None where it was not left on.
         claimed: what the service said of its own run; None where no service ran.
+        code: the service's reason for a run that did not succeed.
     """
 
     seed: int
@@ -72,6 +73,7 @@ class EpisodeResult:
     episode_return: float | None = None
     success_10mm: bool | None = None
     claimed: bool | None = None
+    code: str | None = None
 
 
 class Section(BaseModel):

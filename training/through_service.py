@@ -72,10 +72,11 @@ class ServiceEpisode:
         return EpisodeResult(
             seed=self.seed,
             success=self.inserted,
-            fault=self.run.code is not None,
+            fault=self.run.state is RunState.LATCHED,
             steps=self.run.steps,
             peak_force_n=self.run.peak_force_n,
             claimed=self.claimed,
+            code=self.run.code,
         )
 
 

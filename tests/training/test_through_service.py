@@ -26,6 +26,8 @@ def check(played: list[through_service.ServiceEpisode], seeds: list[int]) -> Non
         assert episode.run.depth_m == pytest.approx(episode.depth_m, abs=3e-3)
         result = episode.result
         assert (result.seed, result.success, result.claimed) == (episode.seed, episode.inserted, episode.claimed)
+        assert result.fault == (episode.run.state is RunState.LATCHED)
+        assert result.code == episode.run.code
         assert (result.steps, result.peak_force_n) == (episode.run.steps, episode.run.peak_force_n)
 
 

@@ -83,12 +83,10 @@ def evaluate(
             _fail(str(error))
     blocks = [keep.results.block(setting).first(episodes) for setting in settings]
     typer.echo("\n".join([HEADER, *(block.line() for block in blocks)]))
-    for block in blocks:
-        wrong = [e for e in block.episodes if e.claimed is not None and e.claimed != e.success]
-        for e in wrong:
-            typer.echo(
-                f"seed {e.seed}: the service says {e.claimed}, in truth the peg is {'in' if e.success else 'not in'}"
-            )
+    for episode in (e for block in blocks for e in block.episodes if e.claimed not in (None, e.success)):
+        told = "succeeded" if episode.claimed else f"ended by {episode.code}"
+        where = "in the hole" if episode.success else "not in the hole"
+        typer.echo(f"seed {episode.seed}: the service says that it {told}, in truth the peg is {where}")
     typer.echo(f"kept in {path}")
     if record:
         _record(model, keep.results, path, blocks)

@@ -1,5 +1,6 @@
 """The chapters of our own: at a glance, conditions, strength, force, the service, and all that was measured."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -264,6 +265,7 @@ def service(measured: Measured) -> Iterator[Block]:
             seeds = {episode.seed for episode in block.episodes}
             same = [e for e in batched.episodes if e.seed in seeds] if batched is not None else []
             wrong = sum(e.claimed != e.success for e in block.episodes)
+            codes = Counter(e.code for e in block.episodes if e.code is not None)
             lines.append(
                 [
                     f"`{name}`",
@@ -276,6 +278,7 @@ def service(measured: Measured) -> Iterator[Block]:
                     f"{percent(sum(e.success for e in same) / len(same))} of {len(same)}" if same else "–",
                     peaks(block),
                     str(wrong),
+                    ", ".join(f"{code} {count}" for code, count in sorted(codes.items())) or "–",
                 ]
             )
     yield Heading("Through the deployed service")
@@ -288,7 +291,7 @@ def service(measured: Measured) -> Iterator[Block]:
         "real time. Success is the simulator's truth where the tool stood at the end."
     )
     header = ["policy", "part", "c", "conditions", "through", "episodes", "success", "environment, same seeds"]
-    yield Table([*header, "peak force, N", "outcome and truth differ"], lines)
+    yield Table([*header, "peak force, N", "outcome and truth differ", "ended by"], lines)
 
 
 def everything(measured: Measured) -> Iterator[Block]:

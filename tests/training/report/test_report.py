@@ -41,6 +41,7 @@ def block(
             peak_force_n=force_n + i / 100,
             episode_return=-1.0 if i % 2 else -3.0,
             success_10mm=i < successes - 1,
+            code=None if i < successes + 1 or through == "environment" else "SEARCH_LIMIT",
             claimed=i < successes + 1 if through != "environment" else None,
         )
         for i in range(episodes)
@@ -161,7 +162,7 @@ def test_the_service_stands_beside_the_environment_on_the_same_seeds() -> None:
     row = line_with(told(Measured(found, ())), "service over RTDE | 10 |")
     assert "**80.0 %**" in row
     assert "| 100.0 % of 10 |" in row
-    assert row.endswith("| 1 |")
+    assert row.endswith("| 1 | SEARCH_LIMIT 1 |")
 
 
 def run_folder(folder: Path, name: str = "paper-vftm-c133") -> Path:
