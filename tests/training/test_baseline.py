@@ -14,7 +14,7 @@ from training.baseline import ABOUT_ESTIMATE, ABOUT_NOMINAL_CENTRE, Search, scri
 from training.evaluate import evaluate
 
 Array = npt.NDArray[np.float64]
-SHIPPED = Path(__file__).parents[2] / "models" / "scripted-search.onnx"
+MODELS = Path(__file__).parents[2] / "models"
 STEPS = 110
 
 
@@ -119,13 +119,23 @@ def test_it_inserts_where_nothing_but_the_locks_own_search_does_not(search: Poli
     assert lucky <= 3
 
 
-def test_the_shipped_file_is_this_script_with_what_was_measured_of_it(search: Policy) -> None:
-    shipped = Policy.load(SHIPPED)
-    assert shipped.contract.model_copy(update={"evaluation": ()}) == search.contract
+@pytest.mark.parametrize(
+    ("name", "written", "conditions"),
+    [
+        ("scripted-search", scripted_search(), "standard"),
+        ("scripted-search-ftm", scripted_search("FTM"), "search"),
+        ("still", still(), "standard"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_shipped_file_is_what_is_written_here_with_what_was_measured_of_it(
+    name: str, written: bytes, conditions: str
+) -> None:
+    shipped, own = Policy.load(MODELS / f"{name}.onnx"), Policy(written)
+    assert shipped.contract.model_copy(update={"evaluation": ()}) == own.contract
     assert {(f.conditions, f.clearance_m) for f in shipped.contract.evaluation} >= {
-        ("standard", 2e-3),
-        ("standard", 1.33e-3),
+        (conditions, c) for c in (2e-3, 1.33e-3)
     }
     observation = np.random.default_rng(0).normal(scale=2e-3, size=(200, 6)).astype(np.float32)
     observation[:, 0] = np.linspace(0, 1, 200)
-    assert np.array_equal(shipped.act(observation)[0], search.act(observation)[0])
+    assert np.array_equal(shipped.act(observation)[0], own.act(observation)[0])
