@@ -1,6 +1,6 @@
 """What a policy sees, does and is limited by: contracts to train against, before there is anything to measure."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from service.policy.contract import ActionEntry, ComplianceLaw, ObservationEntry, PolicyContract
@@ -95,6 +95,35 @@ def contract_for(
         wrench_window_ticks=25,
         hidden_size=hidden_size,
     )
+
+
+def adjusted(
+    contract: PolicyContract,
+    *,
+    press_m: float | None = None,
+    limits: Mapping[str, float] | None = None,
+    wrench_window_ticks: int | None = None,
+) -> PolicyContract:
+    """Change what is not None of a contract.
+
+    Args:
+        contract: to change.
+        press_m: how far below the lock a command may go.
+        limits: displacement at ±1 by action component, m and rad; for components that the contract lacks: nothing.
+        wrench_window_ticks: newest samples of a step that are averaged.
+
+    Raises:
+        ValueError: the result does not fit together.
+    """
+    limits = limits or {}
+    document = contract.model_dump()
+    if press_m is not None:
+        document["dsl"]["press_m"] = press_m
+    for entry in document["action"]:
+        entry["limit"] = limits.get(entry["name"], entry["limit"])
+    if wrench_window_ticks is not None:
+        document["wrench_window_ticks"] = wrench_window_ticks
+    return PolicyContract.model_validate(document)
 
 
 def check_conditions(mode: Mode, conditions: Conditions) -> None:

@@ -3,6 +3,7 @@
 `docs/training.md` explains the fields to those who write one.
 """
 
+import math
 import tomllib
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -73,6 +74,39 @@ class TaskSection(Section):
             Task(0, self.parts[0], clearance, self.conditions).check()
         design.check_conditions(self.mode, self.conditions)
         return self
+
+
+class PolicySection(Section):
+    """What a policy does, where that is not what `training.design` gives it; none: as there.
+
+    Attributes:
+        press_mm: how far below the lock a command may go.
+        dxy_mm: displacement in x and in y at an action of ±1, per step.
+        dz_mm: the same upwards.
+        dyaw_deg: the same in yaw.
+        wrench_window_ticks: newest samples of a step that are averaged.
+    """
+
+    press_mm: NotNegative | None = None
+    dxy_mm: Positive | None = None
+    dz_mm: Positive | None = None
+    dyaw_deg: Positive | None = None
+    wrench_window_ticks: Count | None = None
+
+    def adjust(self, contract: PolicyContract) -> PolicyContract:
+        """Return `contract` with what this section says."""
+        scaled = {
+            "dx": (self.dxy_mm, 1e-3),
+            "dy": (self.dxy_mm, 1e-3),
+            "dz": (self.dz_mm, 1e-3),
+            "dyaw": (self.dyaw_deg, math.pi / 180),
+        }
+        return design.adjusted(
+            contract,
+            press_m=None if self.press_mm is None else self.press_mm * 1e-3,
+            limits={name: value * unit for name, (value, unit) in scaled.items() if value is not None},
+            wrench_window_ticks=self.wrench_window_ticks,
+        )
 
 
 class AdmittedSection(Section):
@@ -157,6 +191,7 @@ class Experiment(Section):
         title: what it is, in a line.
         task: what is trained on.
         law: the compliance law about the TCP: `stiffness`, `damping`, `inertia` of six numbers each.
+        policy: what the policy does, where not as usual.
         admitted: what the policy may be used for.
         algorithm: how.
         evaluation: how it is judged meanwhile.
@@ -168,6 +203,7 @@ class Experiment(Section):
     title: Annotated[str, Field(min_length=1)]
     task: TaskSection
     law: ComplianceLaw = design.LAW
+    policy: PolicySection = PolicySection()
     admitted: AdmittedSection = AdmittedSection()
     algorithm: AlgorithmSection
     evaluation: EvaluationSection
@@ -190,7 +226,7 @@ class Experiment(Section):
     def contract(self) -> PolicyContract:
         """What a policy trained so sees, does and is limited by."""
         low, high = self.admitted.clearance_mm or self.task.clearance_mm
-        return design.contract_for(
+        contract = design.contract_for(
             self.task.mode,
             self.task.lock,
             self.admitted.parts or self.task.parts,
@@ -200,6 +236,7 @@ class Experiment(Section):
             law=self.law,
             hidden_size=self.algorithm.hidden if self.algorithm.memory == "gru" else 0,
         )
+        return self.policy.adjust(contract)
 
 
 def names() -> list[str]:

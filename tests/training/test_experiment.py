@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from training import design
@@ -33,8 +34,6 @@ def test_every_experiment_of_the_project_can_be_read_and_starts_from_one_that_fi
     task = experiment.task
     assert (contract.mode, contract.dsl.mode) == (task.mode, task.lock)
     assert set(task.parts) <= set(contract.parts)
-    assert contract.clearance_m[0] <= task.clearance_mm[0] * 1e-3
-    assert contract.clearance_m[1] >= task.clearance_mm[1] * 1e-3
     assert (contract.hidden_size > 0) == (experiment.algorithm.memory == "gru")
     if experiment.start_from is not None:
         earlier = load(experiment.start_from)
@@ -82,6 +81,18 @@ def test_a_policy_may_be_admitted_for_more_than_it_is_trained_on(tmp_path: Path)
     assert wider.task == trained.task
 
 
+def test_what_the_policy_does_may_differ_from_the_usual(tmp_path: Path) -> None:
+    usual = written(tmp_path, MINIMAL).contract()
+    text = MINIMAL + "[policy]\npress_mm = 3.0\ndz_mm = 3.5\ndyaw_deg = 5.0\nwrench_window_ticks = 50\n"
+    contract = written(tmp_path, text).contract()
+    limits = {entry.name: entry.limit for entry in contract.action}
+    assert limits["dx"] == limits["dy"] == usual.action[0].limit
+    assert limits["dz"] == pytest.approx(3.5e-3)
+    assert limits["dyaw"] == pytest.approx(np.deg2rad(5.0))
+    assert (contract.dsl.press_m, contract.wrench_window_ticks) == (pytest.approx(3e-3), 50)
+    assert contract.observation == usual.observation
+
+
 def test_a_law_of_its_own_goes_into_the_contract(tmp_path: Path) -> None:
     law = "[law]\nstiffness = [1, 2, 3, 4, 5, 6]\ndamping = [1, 1, 1, 1, 1, 1]\ninertia = [2, 2, 2, 2, 2, 2]\n"
     assert written(tmp_path, MINIMAL + law).contract().compliance.stiffness == (1, 2, 3, 4, 5, 6)
@@ -104,6 +115,7 @@ def test_a_law_of_its_own_goes_into_the_contract(tmp_path: Path) -> None:
         ("[task]", '[task]\nmode = "VM"', r"VM bypasses the lock"),
         ("[task]", '[task]\nmode = "FTM"', r"too far from the nominal centre"),
         ("[task]", '[task]\nreward = "praise"', r"task\.reward: "),
+        ("[task]", "[policy]\nwrench_window_ticks = 51\n[task]", r"wrench_window_ticks is 51, a step has 50 ticks"),
         ("[task]", "[tusk]", r"tusk: Extra inputs.*|task: Field required"),
         ('"Minimal"', '"Minimal', r"cannot read"),
     ],
