@@ -15,6 +15,8 @@ from training.report.curves import Curve
 from training.results import Block, Results, Through
 
 NOT_MEASURED = "not measured"
+EPISODES = 500
+"""The paper's count of tests per figure of Table I; a figure from fewer says so."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +88,11 @@ def printed(share: float) -> str:
 
 
 def success(block: Block | None) -> str:
-    """A success rate with its interval and count."""
+    """A success rate with its interval, and its count where that is less than the paper's."""
     if block is None:
         return NOT_MEASURED
-    return f"**{percent(block.rate)}** {interval(*block.interval)}"
+    few = f", n = {len(block.episodes)}" if len(block.episodes) < EPISODES else ""
+    return f"**{percent(block.rate)}** {interval(*block.interval)}{few}"
 
 
 def interval(low: float, high: float) -> str:

@@ -291,7 +291,7 @@ def service(measured: Measured) -> Iterator[Block]:
         "real time. Success is the simulator's truth where the tool stood at the end."
     )
     header = ["policy", "part", "c", "conditions", "through", "episodes", "success", "environment, same seeds"]
-    yield Table([*header, "peak force, N", "outcome and truth differ", "ended by"], lines)
+    yield Table([*header, "peak force, N", "outcome ≠ truth", "ended by"], lines)
 
 
 def everything(measured: Measured) -> Iterator[Block]:
