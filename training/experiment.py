@@ -178,7 +178,7 @@ class EvaluationSection(Section):
     """
 
     every_steps: Count
-    episodes: Count = 100
+    episodes: Annotated[int, Field(ge=1, le=10_000)] = 100
     clearances_mm: Annotated[tuple[Positive, ...], Field(min_length=1)]
     conditions: Conditions | None = None
 

@@ -1,5 +1,6 @@
 """The training: rollouts, updates, evaluations, and a checkpoint after each update from which it goes on."""
 
+import math
 import sys
 import time
 from dataclasses import asdict
@@ -28,6 +29,10 @@ RECENT = 500
 ADAM_EPSILON = 1e-5
 
 
+class TrainingError(RuntimeError):
+    """A training that cannot go on; the text says why."""
+
+
 def learn(run: Run, start_from: Path | None = None, deadline_s: float = float("inf")) -> ActorCritic:
     """Train, or go on with, one experiment and seed; everything that comes of it goes to the run's folder.
 
@@ -39,6 +44,8 @@ def learn(run: Run, start_from: Path | None = None, deadline_s: float = float("i
     Raises:
         ExperimentError: the experiment is no longer the one that the folder's training began with.
         CheckpointError: weights to begin with are missing or of another network.
+        TrainingError: it diverged; the checkpoint is from before.
+        WorkerError: a worker's process has ended, or failed.
     """
     torch.set_num_threads(1)  # the cells' processes have the cores; an update by several threads is no faster
     training = _Training(run, start_from)
@@ -96,6 +103,8 @@ class _Training:
                     group["lr"] = self._algorithm.learning_rate * (1.0 - 0.9 * self._steps / total)
                 rollout = collector.collect(self._algorithm.rollout)
                 losses = ppo.update(self.network, self._optimiser, rollout, self._algorithm)
+                if not all(math.isfinite(value) for value in asdict(losses).values()):
+                    raise TrainingError(f"diverged at {self._steps} steps: {losses}; try a smaller learning_rate")
                 self._steps += rollout.reward.numel()
                 bar.update(rollout.reward.numel())
                 self._note(rollout, losses, time.monotonic() - began, bar)

@@ -53,13 +53,11 @@ class ParallelInsertions:
         self.workers = workers
 
     def reset(self) -> Float32Array:
-        for pipe in self._pipes:
-            pipe.send(None)
+        self._ask([None] * self.workers)
         return np.concatenate(self._answers())
 
     def step(self, action: npt.NDArray[Any]) -> Step:
-        for pipe, share in zip(self._pipes, np.split(action, len(self._pipes)), strict=True):
-            pipe.send(share)
+        self._ask(np.split(action, self.workers))
         steps: list[Step] = self._answers()
         return Step(
             np.concatenate([step.features for step in steps]),
@@ -70,8 +68,7 @@ class ParallelInsertions:
 
     def run(self, jobs: Sequence[Job]) -> list[Any]:
         results: list[Any] = [None] * len(jobs)
-        for number, pipe in enumerate(self._pipes):
-            pipe.send(tuple(jobs[number :: self.workers]))
+        self._ask([tuple(jobs[number :: self.workers]) for number in range(self.workers)])
         for number, done in enumerate(self._answers()):
             results[number :: self.workers] = done
         return results
@@ -84,6 +81,14 @@ class ParallelInsertions:
             if process.is_alive():
                 process.terminate()
                 process.join()
+
+    def _ask(self, requests: Sequence[Any]) -> None:
+        """Send each worker its request."""
+        for number, (pipe, request) in enumerate(zip(self._pipes, requests, strict=True)):
+            try:
+                pipe.send(request)
+            except OSError as error:
+                raise WorkerError(f"worker {number} has ended; what it said stands above") from error
 
     def _answers(self) -> list[Any]:
         """One answer of each worker; all are taken before a failure is raised."""

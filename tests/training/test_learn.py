@@ -10,10 +10,11 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
 
 from service.policy.model import Policy  # noqa: E402
+from training import ppo  # noqa: E402
 from training.evaluate import evaluate  # noqa: E402
 from training.experiment import Experiment, ExperimentError  # noqa: E402
 from training.export import to_onnx  # noqa: E402
-from training.learn import learn, untrained  # noqa: E402
+from training.learn import TrainingError, learn, untrained  # noqa: E402
 from training.run import CheckpointError, Run, read  # noqa: E402
 
 EASY = {"clearance_mm": [3.0, 3.0], "lock": "off", "conditions": "easy", "randomise_plant": False, "max_steps": 80}
@@ -149,6 +150,27 @@ def test_another_experiment_does_not_go_on_in_the_same_folder(tmp_path: Path) ->
     with pytest.raises(ExperimentError, match=r"other settings \(algorithm\.gamma, task\.reward\)"):
         learn(Run(experiment(algorithm={"gamma": 0.9}, task={"reward": "paper"}), 0, tmp_path))
     assert (tmp_path / "progress.jsonl").read_text() == progress
+
+
+def test_a_training_that_diverges_says_so_and_keeps_the_weights_from_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = Run(experiment(), 0, tmp_path)
+    learned = ppo.update
+
+    def diverging(network: Any, optimiser: Any, rollout: Any, algorithm: Any) -> ppo.Losses:
+        losses = learned(network, optimiser, rollout, algorithm)
+        if run.steps:
+            with torch.no_grad():
+                network.log_std.fill_(float("nan"))
+            return learned(network, optimiser, rollout, algorithm)
+        return losses
+
+    monkeypatch.setattr(ppo, "update", diverging)
+    with pytest.raises(TrainingError, match="diverged at 32 steps"):
+        learn(run)
+    assert run.steps == 32
+    assert read(run.checkpoint)["net"]["log_std"].isfinite().all()
 
 
 def test_a_training_may_begin_with_the_weights_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

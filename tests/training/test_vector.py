@@ -1,6 +1,7 @@
 """Cells that play episode after episode, in one process and in several."""
 
 import os
+import signal
 from functools import partial
 
 import numpy as np
@@ -110,6 +111,18 @@ def test_workers_in_their_own_processes_play_what_their_cells_play_here_and_do_j
     finally:
         there.close()
     there.close()
+
+
+def test_a_worker_that_is_killed_is_an_error_that_names_it() -> None:
+    cells = ParallelInsertions(partial(worker, [7, 8]), 2)
+    try:
+        cells.reset()
+        _, second = cells.run([os.getpid] * 2)
+        os.kill(second, signal.SIGKILL)
+        with pytest.raises(WorkerError, match="worker 1 has ended"):
+            cells.step(actions(1, 4)[0])
+    finally:
+        cells.close()
 
 
 def test_cells_that_cannot_be_made_are_an_error_that_says_why() -> None:

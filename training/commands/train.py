@@ -34,7 +34,8 @@ def train(
     The same command again goes on where the last one ended, however that was.
     """
     try:
-        from training.learn import learn
+        from training.learn import TrainingError, learn
+        from training.parallel import WorkerError
         from training.run import CheckpointError, Run
     except ImportError as error:
         _fail(f"training needs the extra `training` ({error}): make setup-training")
@@ -51,7 +52,7 @@ def train(
             typer.echo(
                 f"{_state(asked, run.steps)} in {run.directory}; next: dsl-assembly export {asked.name} OUT.onnx"
             )
-    except (ExperimentError, CheckpointError) as error:
+    except (ExperimentError, CheckpointError, TrainingError, WorkerError) as error:
         _fail(str(error))
 
 
