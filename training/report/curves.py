@@ -24,6 +24,7 @@ class Point(Section):
 
     Attributes:
         steps: environment steps until then.
+        elapsed_s: host time until then, evaluations included.
         clearance_mm: per face.
         part: peg and hole.
         success: rate.
@@ -31,6 +32,7 @@ class Point(Section):
     """
 
     steps: int
+    elapsed_s: float
     clearance_mm: float
     part: str
     success: float
@@ -64,6 +66,17 @@ class Curve(Section):
     evaluations: tuple[Point, ...]
     rollouts: tuple[tuple[int, float], ...]
 
+    def reached(self, success: float, clearance_mm: float) -> Point | None:
+        """The first evaluation of the triangle at a clearance with at least that success; None if there was none."""
+        return next(
+            (
+                point
+                for point in self.evaluations
+                if point.part == "tr" and point.clearance_mm == clearance_mm and point.success >= success
+            ),
+            None,
+        )
+
     @classmethod
     def of_run(cls, directory: Path) -> Self | None:
         """Read the folder of a training; None before its first line."""
@@ -75,6 +88,7 @@ class Curve(Section):
         evaluations = tuple(
             Point(
                 steps=record["steps"],
+                elapsed_s=record["elapsed_s"],
                 clearance_mm=round(record["clearance_m"] * 1e3, 3),
                 part=record["part"],
                 success=record["successes"] / record["episodes"],

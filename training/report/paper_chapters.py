@@ -15,6 +15,7 @@ from training.report.measured import (
     NOT_MEASURED,
     Measured,
     deep_success,
+    duration,
     interval,
     peaks,
     percent,
@@ -146,6 +147,34 @@ def learning_curves(measured: Measured, comparison: Comparison) -> Iterator[Bloc
             " and ".join(rewards),
         )
         yield Picture(f"curves-{figure.name}", svg, f"{figure.title}. {told}.")
+    yield from _time_to_the_paper(measured, comparison)
+
+
+def _time_to_the_paper(measured: Measured, comparison: Comparison) -> Iterator[Block]:
+    """How long trainings took to the paper's success."""
+    yield Heading("How soon the paper's success is reached", 3)
+    lines: list[list[str | Judged]] = []
+    for level in comparison.strength.levels:
+        for curve in measured.curves:
+            trained = any(point.clearance_mm == level.clearance_mm for point in curve.evaluations)
+            if level.paper is None or not trained:
+                continue
+            point = curve.reached(level.paper, level.clearance_mm)
+            reached = (
+                ("not reached", "–") if point is None else (f"{point.steps / 1e6:.2f} M", duration(point.elapsed_s))
+            )
+            about = (f"{level.clearance_mm:g} mm", printed(level.paper), f"`{curve.experiment}`", str(curve.seed))
+            rate = f"{curve.steps / curve.elapsed_s:.0f}" if curve.elapsed_s else "–"
+            lines.append([*about, *reached, rate, curve.machine])
+    if not lines:
+        yield Paragraph("Not measured.")
+        return
+    yield Paragraph(
+        "The first evaluation of the triangle with at least the paper's success, and the wall-clock until then, "
+        "evaluations and other work on the machine included. The author's trainings took 3 to 5 hours for 2 M steps."
+    )
+    header = ["c", "the paper", "experiment", "seed", "reached after, steps", "wall-clock", "steps/s", "machine"]
+    yield Table(header, lines)
 
 
 def _line(name: str, curves: Sequence[Curve], level: float | None, field: str) -> plots.Line:

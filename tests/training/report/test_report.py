@@ -208,6 +208,17 @@ def test_learning_curves_are_kept_beside_the_results_and_drawn(tmp_path: Path) -
     assert lock.name == "curves-lock-real"
 
 
+def test_the_time_to_the_papers_success_is_that_of_the_first_evaluation_that_has_it(tmp_path: Path) -> None:
+    folder = run_folder(tmp_path / "runs")
+    lines = [json.loads(line) for line in (folder / "progress.jsonl").read_text().splitlines()[:-1]]
+    late = [{**lines[1], "steps": 500_000 * n, "elapsed_s": 100.0 * n, "successes": 7 + n} for n in range(1, 4)]
+    (folder / "progress.jsonl").write_text("".join(json.dumps(line) + "\n" for line in [*lines, *late]))
+    (curve,) = [curve for curve in [curves.Curve.of_run(folder)] if curve is not None]
+    row = line_with(told(Measured({}, (curve,))), "1.33 mm | 88.57 % | `paper-vftm-c133` | 3")
+    assert "| 1.00 M | 3 min |" in row
+    assert curve.reached(0.88, 0.33) is None
+
+
 def test_the_command_writes_page_markdown_and_pictures_and_the_same_again(tmp_path: Path) -> None:
     folder = tmp_path / "results"
     results(block(40), block(10, clearance_mm=0.33)).save(folder / "vftm-dsl.json")
