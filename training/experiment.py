@@ -139,7 +139,7 @@ class AlgorithmSection(Section):
         gae_lambda: of the advantages (Schulman et al., 2016).
         entropy: weight of the bonus for exploration.
         auxiliary_weight: of the error of the head that predicts where the hole is.
-        initial_log_std: of the exploration.
+        initial_log_std: of the exploration; at least that with `start_from`.
     """
 
     memory: Literal["gru", "none"] = "gru"

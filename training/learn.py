@@ -211,10 +211,12 @@ class _Training:
         return None if name is None else directory_of(name, self._run.seed) / "best.pt"
 
     def _load(self, path: Path | None) -> None:
-        """Begin with these weights, if any."""
+        """Begin with these weights, if any, but explore as much as a training does at its start."""
         if path is None:
             return
         try:
             self.network.load_state_dict(network_of(self._contract, read(path)["net"]).state_dict())
         except (ValueError, RuntimeError) as error:
             raise CheckpointError(f"cannot begin with {path}: {error}") from error
+        with torch.no_grad():
+            self.network.log_std.clamp_(min=self._algorithm.initial_log_std)

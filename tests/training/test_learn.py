@@ -173,17 +173,22 @@ def test_a_training_that_diverges_says_so_and_keeps_the_weights_from_before(
     assert read(run.checkpoint)["net"]["log_std"].isfinite().all()
 
 
-def test_a_training_may_begin_with_the_weights_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_training_may_begin_with_the_weights_of_another_and_explores_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     learn(Run(experiment("first", algorithm={"steps": 32}), 0))
     best = read(tmp_path / "var/training/first/seed-0/best.pt")["net"]
-    follower = experiment("second", start_from="first")
-    for run, start in (
-        (Run(follower, 0), None),
-        (Run(experiment("third"), 0), Path("var/training/first/seed-0/best.pt")),
+    bold = {"initial_log_std": -0.1}
+    follower = experiment("second", start_from="first", algorithm=bold)
+    other, start = experiment("third", algorithm=bold), Path("var/training/first/seed-0/best.pt")
+    for network in (
+        learn(Run(follower, 0), deadline_s=1e-9),
+        learn(Run(other, 0), start, deadline_s=1e-9),
     ):
-        network = learn(run, start, deadline_s=1e-9)
-        assert all(torch.equal(best[name], value) for name, value in network.state_dict().items())
+        weights = network.state_dict()
+        torch.testing.assert_close(weights.pop("log_std"), torch.full((4,), -0.1))
+        assert all(torch.equal(best[name], value) for name, value in weights.items())
 
 
 @pytest.mark.parametrize("change", [{"task": {"lock": "peck"}}, {"algorithm": {"memory": "none"}}])
