@@ -11,6 +11,7 @@ PORT ?= 8000
 ONCE ?=
 SEED ?=
 MODEL ?= models/triangle-vftm.onnx
+EXPERIMENT ?= vftm-dsl
 BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.installed-runtime
 TRAINING := $(VENV)/.installed-training
@@ -86,13 +87,11 @@ docs-check: $(DEV) ## links between documents, and the documents that must exist
 # --- training and measurements --------------------------------------------------------------------------------------
 
 .PHONY: train evaluate benchmark
-train: $(TRAINING) ## train the shipped policy anew, in two runs of about half an hour (others: python -m training train --help)
-	$(BIN)/python -m training train triangle-1
-	$(BIN)/python -m training train triangle-2 --from var/training/triangle-1/final.zip --steps 3000000 --learning-rate 3e-4 --seed 1
-	$(BIN)/python -m training export var/training/triangle-2/final.zip var/training/triangle-vftm.onnx --name tr-vftm-dsl
+train: $(TRAINING) ## train an experiment, or go on with it: hours (EXPERIMENT=vftm-dsl; ARGS=--help)
+	$(BIN)/dsl-assembly train $(EXPERIMENT) $(ARGS)
 
 evaluate: $(TRAINING) ## success over fresh seeds, with intervals (ARGS="MODEL --episodes 500 ..."; ARGS=--help)
-	$(BIN)/python -m training evaluate $(or $(ARGS),$(MODEL))
+	$(BIN)/dsl-assembly evaluate $(or $(ARGS),$(MODEL))
 
 benchmark: $(TRAINING) ## measure, print the tables, save them in benchmarks/results/ (ARGS=--help)
 	$(BIN)/python -m benchmarks $(ARGS)

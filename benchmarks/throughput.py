@@ -14,7 +14,7 @@ from training.design import vftm_dsl
 from training.episodes import TaskSource
 from training.insertion import Insertions
 from training.parallel import ParallelInsertions
-from training.vector import InsertionVecEnv
+from training.vector import EndlessInsertions
 
 CELLS = 256
 TARGET = 0.7
@@ -79,8 +79,8 @@ def measure(scale: float) -> Result:
     )
 
 
-def _worker(number: int) -> InsertionVecEnv:
-    return InsertionVecEnv(Insertions(vftm_dsl(), CELLS, threads=1), TaskSource(), number)
+def _worker(number: int) -> EndlessInsertions:
+    return EndlessInsertions(Insertions(vftm_dsl(), CELLS, threads=1), TaskSource(), number)
 
 
 def _workers(workers: int, steps: int, raw: _Spent) -> tuple[str, ...]:
@@ -91,14 +91,14 @@ def _workers(workers: int, steps: int, raw: _Spent) -> tuple[str, ...]:
         environment.reset()
         spent_s = 0.0
         for number in range(WARM_UP + steps):
-            action = rng.uniform(-1, 1, (environment.num_envs, len(vftm_dsl().action)))
+            action = rng.uniform(-1, 1, (environment.n, len(vftm_dsl().action)))
             begin = time.perf_counter()
             environment.step(action)
             if number >= WARM_UP:
                 spent_s += time.perf_counter() - begin
     finally:
         environment.close()
-    per_s = steps * environment.num_envs / spent_s
+    per_s = steps * environment.n / spent_s
     ticks_per_s, raw_per_s = per_s * vftm_dsl().ticks_per_step, raw.ticks / raw.raw_s
     return (
         f"{workers} workers of {CELLS} cells",

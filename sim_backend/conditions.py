@@ -28,15 +28,35 @@ CAMERA_FRAMES = 64
 
 @dataclass(frozen=True, slots=True)
 class _Distributions:
-    hole_half_range_m: tuple[float, float, float]
-    hole_yaw_rad: float
-    estimate_sigma_m: tuple[float, float, float]
-    grasp_sigma_m: float
+    """What conditions differ in; the plant's values hold where a task does not randomise it.
+
+    `sensor_delay`: ticks; None: drawn. `bias_scale`: factor on the sensor's bias.
+    """
+
+    hole_half_range_m: tuple[float, float, float] = (0.050, 0.035, 0.030)
+    hole_yaw_rad: float = float(np.deg2rad(60))
+    estimate_sigma_m: tuple[float, float, float] = (1.15e-3, 1.15e-3, 0.5e-3)
+    grasp_sigma_m: float = 0.3e-3
+    friction: float = FRICTION
+    stiffness_scale: float = 1.0
+    sensor_delay: int | None = None
+    force_noise_n: float = FORCE_NOISE_N
+    torque_noise_nm: float = TORQUE_NOISE_NM
+    bias_scale: float = 1.0
 
 
 _CONDITIONS = {
-    "standard": _Distributions((0.050, 0.035, 0.030), float(np.deg2rad(60)), (1.15e-3, 1.15e-3, 0.5e-3), 0.3e-3),
+    "standard": _Distributions(),
     "easy": _Distributions((0.020, 0.020, 0.010), float(np.deg2rad(30)), (0.5e-3, 0.5e-3, 0.3e-3), 0.1e-3),
+    "search": _Distributions((0.010, 0.010, 0.010)),
+    "transfer": _Distributions(
+        friction=0.45,
+        stiffness_scale=0.75,
+        sensor_delay=SENSOR_DELAY_TICKS[1],
+        force_noise_n=1.0,
+        torque_noise_nm=0.07,
+        bias_scale=2.0,
+    ),
 }
 
 
@@ -53,7 +73,7 @@ class Episode:
         friction: sliding, peg on block.
         stiffness_scale: of the compliance law and the fingers, relative to nominal.
         mass_scale: of the gripper and the peg.
-        sensor_delay: ticks from force to sample, 1–4 (2–8 ms): drawn, unless the task names it.
+        sensor_delay: ticks from force to sample, 1–4 (2–8 ms): drawn, unless the task or its conditions name it.
         target_delay: ticks from a target's arrival to its effect.
         bias: (6,) of the raw sensor, N and N·m.
         drift: (6,) of that bias, per second.
@@ -88,23 +108,27 @@ def draw(task: Task) -> Episode:
     grasp = rng.normal(0.0, ranges.grasp_sigma_m, 2)
     hover = rng.uniform(0.020, 0.030)
     delay = int(rng.integers(SENSOR_DELAY_TICKS[0], SENSOR_DELAY_TICKS[1] + 1))
-    bias = rng.normal(0.0, [2.0] * 3 + [0.1] * 3)
+    bias = ranges.bias_scale * rng.normal(0.0, [2.0] * 3 + [0.1] * 3)
     drift = rng.normal(0.0, [FORCE_DRIFT_N_PER_S] * 3 + [TORQUE_DRIFT_NM_PER_S] * 3)
     plant = rng.uniform(size=4)
     noise = rng.standard_normal((NOISE_ROWS, 6), np.float32)
-    noise *= np.array([FORCE_NOISE_N] * 3 + [TORQUE_NOISE_NM] * 3, np.float32)
+    noise *= np.array([ranges.force_noise_n] * 3 + [ranges.torque_noise_nm] * 3, np.float32)
     jitter = rng.normal(0.0, ESTIMATE_JITTER_M, (CAMERA_FRAMES, 3))
     varied = task.randomise_plant
+    if task.sensor_delay_ticks is not None:
+        delay = task.sensor_delay_ticks
+    elif ranges.sensor_delay is not None:
+        delay = ranges.sensor_delay
     return Episode(
         hole_position=hole,
         hole_yaw=float(yaw),
         estimate_offset=offset,
         grasp_offset=grasp,
         hover_m=float(hover),
-        friction=0.1 + 0.5 * float(plant[0]) if varied else FRICTION,
-        stiffness_scale=0.6 + 0.8 * float(plant[1]) if varied else 1.0,
+        friction=0.1 + 0.5 * float(plant[0]) if varied else ranges.friction,
+        stiffness_scale=0.6 + 0.8 * float(plant[1]) if varied else ranges.stiffness_scale,
         mass_scale=0.8 + 0.4 * float(plant[2]) if varied else 1.0,
-        sensor_delay=delay if task.sensor_delay_ticks is None else task.sensor_delay_ticks,
+        sensor_delay=delay,
         target_delay=int(plant[3] * 11) if varied else 2,
         bias=bias,
         drift=drift,

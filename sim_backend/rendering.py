@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,25 @@ class RenderingUnavailableError(RuntimeError):
     """This machine cannot draw; the text says why and what to install."""
 
 
+@dataclass(frozen=True, slots=True)
+class View:
+    """A camera of one's own.
+
+    Attributes:
+        target: looked at, base frame, m.
+        distance_m: from there.
+        azimuth_deg: of the line of sight, about z from x.
+        elevation_deg: of the line of sight; negative looks down.
+    """
+
+    target: tuple[float, float, float]
+    distance_m: float
+    azimuth_deg: float
+    elevation_deg: float
+
+
 class Renderer:
-    """Draws states of a cell from its named cameras. A context manager; use it from one thread."""
+    """Draws states of a cell from its named cameras, or another. A context manager; use it from one thread."""
 
     def __init__(
         self, part: str = "tr", clearance_m: float = 2e-3, width: int = 1280, height: int = 720, backend: str = "egl"
@@ -55,13 +73,15 @@ class Renderer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def draw(self, model: mujoco.MjModel, state: mujoco.MjData, camera: str = "overview") -> npt.NDArray[np.uint8]:
+    def draw(
+        self, model: mujoco.MjModel, state: mujoco.MjData, camera: str | View = "overview"
+    ) -> npt.NDArray[np.uint8]:
         """Draw a state.
 
         Args:
             model: of a cell with this part; the grasp is read from it. The walls are those of `clearance_m`.
             state: of that cell; only its positions are read.
-            camera: one of `appearance.CAMERAS`.
+            camera: one of `appearance.CAMERAS`, or one of your own.
 
         Returns:
             (height, width, 3) uint8, RGB, top row first.
@@ -69,7 +89,7 @@ class Renderer:
         Raises:
             ValueError: no such camera.
         """
-        if camera not in appearance.CAMERAS:
+        if isinstance(camera, str) and camera not in appearance.CAMERAS:
             raise ValueError(f"no camera {camera!r} in the scene, it has {', '.join(appearance.CAMERAS)}")
         self._model.body("peg").pos = model.body("peg").pos
         data = self._data
@@ -78,8 +98,13 @@ class Renderer:
         mujoco.mj_comPos(self._model, data)
         mujoco.mj_camlight(self._model, data)
         view = mujoco.MjvCamera()
-        view.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        view.fixedcamid = self._model.camera(camera).id
+        if isinstance(camera, str):
+            view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+            view.fixedcamid = self._model.camera(camera).id
+        else:
+            view.type = mujoco.mjtCamera.mjCAMERA_FREE
+            view.lookat[:] = camera.target
+            view.distance, view.azimuth, view.elevation = camera.distance_m, camera.azimuth_deg, camera.elevation_deg
         mujoco.mjv_updateScene(
             self._model, data, self._option, None, view, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
         )

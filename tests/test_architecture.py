@@ -59,7 +59,7 @@ def test_the_wire_schema_loads_without_mujoco_and_zenoh() -> None:
 
 
 def test_nothing_at_run_time_loads_what_only_training_needs() -> None:
-    assert not loaded_by(*RUNTIME_MODULES) & {"torch", "gymnasium", "stable_baselines3", "onnx", "matplotlib", "tqdm"}
+    assert not loaded_by(*RUNTIME_MODULES) & {"torch", "gymnasium", "tensorboard", "onnx", "matplotlib", "tqdm"}
 
 
 def test_the_api_loads_no_simulator_and_no_inference() -> None:

@@ -1,12 +1,13 @@
 """What a policy sees, does and is limited by: contracts to train against, before there is anything to measure."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from service.policy.contract import ActionEntry, ComplianceLaw, ObservationEntry, PolicyContract
 from service.policy.observation import ENTRIES, Mode, Need
 from service.safety import dsl
 from service.safety.dsl import DslParameters
-from sim_backend.protocol.task import Part
+from sim_backend.protocol.task import Conditions, Part
 
 LAW = ComplianceLaw(
     stiffness=(2500.0, 2500.0, 3000.0, 5.0, 5.0, 8.0),
@@ -50,11 +51,13 @@ _DONE = (
 def contract_for(
     mode: Mode = "VFTM",
     lock: dsl.Mode | None = None,
-    part: Part = "tr",
+    part: Part | Sequence[Part] = "tr",
     *,
     clearance_m: tuple[float, float] = (0.25e-3, 4e-3),
     max_steps: int = MAX_STEPS,
     name: str | None = None,
+    law: ComplianceLaw = LAW,
+    hidden_size: int = 0,
 ) -> PolicyContract:
     """Contract of a policy to be.
 
@@ -62,30 +65,71 @@ def contract_for(
         mode: VFTM sees the hole's estimate and the contact, FTM the nominal centre and the contact, VM the estimate
             and nothing of the contact.
         lock: how the depth is limited; None: `paper`, and `off` in mode VM, which has no other.
-        part: peg and hole.
+        part: peg and hole, or several.
         clearance_m: least and largest clearance per face that it is meant for.
         max_steps: of an episode.
         name: of the policy; None: made of the rest.
+        law: the compliance law around the target.
+        hidden_size: of a recurrent policy's state. Such a one sees a single frame, another one the last few.
 
     Raises:
         ValueError: these do not go together; the text names the field.
     """
     lock = lock or ("off" if mode == "VM" else "paper")
+    parts = (part,) if isinstance(part, str) else tuple(part)
     return PolicyContract(
-        name=name or f"{part}-{mode.lower()}-{lock}",
-        parts=(part,),
+        name=name or f"{'-'.join(parts)}-{mode.lower()}-{lock}",
+        parts=parts,
         clearance_m=clearance_m,
         mode=mode,
         ticks_per_step=50,
         max_steps=max_steps,
         observation=tuple(
-            entry for entry in _SEEN if mode != "VM" or Need.FORCE_TORQUE not in ENTRIES[entry.name].needs
+            entry.model_copy(update={"history": 1}) if hidden_size else entry
+            for entry in _SEEN
+            if mode != "VM" or Need.FORCE_TORQUE not in ENTRIES[entry.name].needs
         ),
         action=tuple(entry for entry in _DONE if lock != "peck" or entry.name != "dz"),
         dsl=replace(LOCK, mode=lock, press_m=PECK_PRESS_M if lock == "peck" else LOCK.press_m),
-        compliance=LAW,
+        compliance=law,
         wrench_window_ticks=25,
+        hidden_size=hidden_size,
     )
+
+
+def adjusted(
+    contract: PolicyContract,
+    *,
+    press_m: float | None = None,
+    limits: Mapping[str, float] | None = None,
+    wrench_window_ticks: int | None = None,
+) -> PolicyContract:
+    """Change what is not None of a contract.
+
+    Args:
+        contract: to change.
+        press_m: how far below the lock a command may go.
+        limits: displacement at ±1 by action component, m and rad; for components that the contract lacks: nothing.
+        wrench_window_ticks: newest samples of a step that are averaged.
+
+    Raises:
+        ValueError: the result does not fit together.
+    """
+    limits = limits or {}
+    document = contract.model_dump()
+    if press_m is not None:
+        document["dsl"]["press_m"] = press_m
+    for entry in document["action"]:
+        entry["limit"] = limits.get(entry["name"], entry["limit"])
+    if wrench_window_ticks is not None:
+        document["wrench_window_ticks"] = wrench_window_ticks
+    return PolicyContract.model_validate(document)
+
+
+def check_conditions(mode: Mode, conditions: Conditions) -> None:
+    """Raise ValueError for conditions that put the hole beyond what a policy of this mode can know of it."""
+    if mode == "FTM" and conditions in ("standard", "transfer"):
+        raise ValueError(f"conditions {conditions!r} put the hole too far from the nominal centre, all that FTM knows")
 
 
 def vftm_dsl(name: str = "tr-vftm-dsl") -> PolicyContract:

@@ -47,7 +47,7 @@ class Settings(TypedDict, total=False):
         part: peg and hole; default `tr`.
         clearance_m: per face, m; one value (default 2 mm) or a range to draw from.
         reward: `potential` (default) or `paper`.
-        conditions: distributions of an episode; default `standard`. FTM needs narrower ones.
+        conditions: distributions of an episode; default `standard`. FTM needs `search` or `easy`.
         randomise_plant: whether friction, stiffness, delay and mass vary too; default False.
         force_ceiling_n: resultant at which an episode ends in a fault, N; default 30.
         threads: that step the physics; default 1, 0 for one per core.
@@ -282,15 +282,14 @@ class _Cells:
             raise TypeError(f"unknown setting {', '.join(sorted(unknown))}; known are {known}")
         mode, part = settings.get("mode", "VFTM"), settings.get("part", "tr")
         conditions = settings.get("conditions", "standard")
-        if mode == "FTM" and conditions == "standard":
-            raise ValueError("conditions 'standard' put the hole too far from the nominal centre, all that FTM knows")
+        design.check_conditions(mode, conditions)
         ceiling = settings.get("force_ceiling_n", 30.0)
         if not 0 < ceiling <= FORCE_HARD_MAXIMUM_N:
             raise ValueError(f"force_ceiling_n must be above 0 and at most {FORCE_HARD_MAXIMUM_N:g} N, not {ceiling!r}")
         clearance = settings.get("clearance_m", 2.0e-3)
         span = clearance if isinstance(clearance, tuple) else (clearance, clearance)
         for value in span:
-            Task(0, part, value, conditions).check()
+            Task(0, part, value, conditions, settings.get("randomise_plant", False)).check()
         contract = design.contract_for(
             mode,
             settings.get("lock"),

@@ -1,101 +1,48 @@
 """How good a policy is: independent episodes, a fixed number per cell, deterministic, on seeds never trained on."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from service.policy.contract import EvaluationFigure
+from service.policy.contract import PolicyContract
 from service.policy.model import Policy
 from sim_backend.protocol.task import Conditions, Part, Task
 from training.insertion import Insertions
+from training.results import Block, EpisodeResult, Setting
+from training.reward import RewardName
 
 FIRST_TEST_SEED = 1_000_000
 """Seeds of the test: from here up. Seeds below choose between models; seeds of training are above 2³²."""
-WILSON_Z = 1.959964
-"""For a 95 % interval."""
+AUTHOR_DEPTH_M = 10e-3
+"""The depth that the author's code calls success."""
+CELLS = 25
+"""Stepped together in one process: as many episodes as one job of `measure` has."""
+
+
+class Actor(Protocol):
+    """What chooses actions: `service.policy.model.Policy`, or a network in training."""
+
+    def initial_hidden(self, shape: tuple[int, ...] = ()) -> npt.NDArray[np.float32] | None: ...
+    def act(
+        self, observation: npt.NDArray[np.float32], hidden: npt.NDArray[np.float32] | None = None
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32] | None]: ...
 
 
 @dataclass(frozen=True, slots=True)
-class EpisodeResult:
-    """How one episode ended."""
+class Job:
+    """Seeds of one setting, for one process."""
 
-    seed: int
-    success: bool
-    fault: bool
-    steps: int
-    peak_force_n: float
-    episode_return: float
-
-
-@dataclass(frozen=True, slots=True)
-class Report:
-    """Results of one condition."""
-
-    clearance_m: float
-    conditions: Conditions
-    episodes: tuple[EpisodeResult, ...]
-
-    @property
-    def successes(self) -> int:
-        return sum(e.success for e in self.episodes)
-
-    @property
-    def rate(self) -> float:
-        return self.successes / len(self.episodes)
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % Wilson interval of the success rate."""
-        return wilson(self.successes, len(self.episodes))
-
-    def figure(self) -> EvaluationFigure:
-        """For the policy's contract."""
-        peaks = np.array([e.peak_force_n for e in self.episodes])
-        low, high = self.interval
-        return EvaluationFigure(
-            clearance_m=self.clearance_m,
-            conditions=self.conditions,
-            episodes=len(self.episodes),
-            successes=self.successes,
-            low=round(low, 4),
-            high=round(high, 4),
-            peak_force_median_n=round(float(np.median(peaks)), 2),
-            peak_force_max_n=round(float(peaks.max()), 2),
-        )
-
-    def line(self) -> str:
-        """One row of a table."""
-        peaks = np.percentile([e.peak_force_n for e in self.episodes], [50, 99, 100])
-        low, high = self.interval
-        steps = np.mean([e.steps for e in self.episodes])
-        success = f"{self.successes}/{len(self.episodes)} = {self.rate:.1%} ({low:.1%} to {high:.1%})"
-        return (
-            f"| {self.clearance_m * 1e3:.2f} | {self.conditions} | {success} | {steps:.0f} | "
-            f"{peaks[0]:.1f} / {peaks[1]:.1f} / {peaks[2]:.1f} | {sum(e.fault for e in self.episodes)} |"
-        )
-
-
-HEADER = (
-    "| clearance, mm | conditions | success (95 % interval) | mean steps | peak force median/p99/max, N | faults |\n"
-    "|---|---|---|---|---|---|"
-)
-
-
-def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """95 % Wilson score interval of a proportion (Wilson 1927).
-
-    Raises:
-        ValueError: no trials.
-    """
-    if trials < 1:
-        raise ValueError("an interval needs at least one trial")
-    z2 = WILSON_Z**2
-    share = successes / trials
-    centre = (share + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = WILSON_Z / (1 + z2 / trials) * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2))
-    return max(0.0, float(centre - half)), min(1.0, float(centre + half))
+    model: Path
+    sha256: str
+    setting: Setting
+    seeds: tuple[int, ...]
 
 
 def evaluate(
@@ -109,11 +56,9 @@ def evaluate(
     cells: int = 100,
     threads: int = 0,
     force_ceiling_n: float = 30.0,
-    on_episodes: Callable[[int], object] = lambda _: None,
-) -> Report:
+    reward_name: RewardName = "potential",
+) -> Block:
     """Play `episodes` episodes, seeds from `first_seed` up, one after another in each of `cells` cells.
-
-    `on_episodes` is told how many episodes have ended since the last time.
 
     Every cell plays the same number, whatever becomes of them: a window of time would count fast successes more often.
 
@@ -123,37 +68,124 @@ def evaluate(
     cells = min(cells, episodes)
     if episodes % cells:
         raise ValueError(f"{episodes} episodes do not divide evenly over {cells} cells")
-    insertions = Insertions(policy.contract, cells, part, threads, force_ceiling_n)
+    insertions = Insertions(policy.contract, cells, part, threads, force_ceiling_n, reward_name)
     results: list[EpisodeResult] = []
     for begin in range(first_seed, first_seed + episodes, cells):
-        results += _round(insertions, policy, [Task(begin + i, part, clearance_m, conditions) for i in range(cells)])
-        on_episodes(cells)
-    return Report(clearance_m, conditions, tuple(results))
+        tasks = [Task(begin + i, part, clearance_m, conditions) for i in range(cells)]
+        results += play(policy, insertions, tasks)
+    setting = Setting(
+        part=part,
+        clearance_m=clearance_m,
+        conditions=conditions,
+        lock=policy.contract.dsl.mode,
+        reward=reward_name,
+        force_ceiling_n=force_ceiling_n,
+        first_seed=first_seed,
+    )
+    return Block(setting=setting, episodes=tuple(results))
 
 
-def _round(insertions: Insertions, policy: Policy, tasks: list[Task]) -> list[EpisodeResult]:
-    """One episode in every cell; a cell that has finished idles until the others have."""
-    everyone = np.arange(insertions.n)
-    observation = insertions.reset(everyone, tasks)
-    hidden = policy.initial_hidden((insertions.n,))
-    running: npt.NDArray[np.bool_] = np.ones(insertions.n, np.bool_)
+def play(
+    actor: Actor, insertions: Insertions, tasks: Sequence[Task], *, to_author_depth: bool = False
+) -> list[EpisodeResult]:
+    """Play one episode in every cell; a cell that has finished idles until the others have.
+
+    Args:
+        actor: chooses the actions.
+        insertions: as many cells as tasks.
+        tasks: of the episodes.
+        to_author_depth: leave the policy on after an episode's end, which all else is judged at, until the peg is
+            `AUTHOR_DEPTH_M` deep or the time is up.
+    """
+    n = insertions.n
+    observation = insertions.reset(np.arange(n), tasks)
+    hidden = actor.initial_hidden((n,))
+    moving = np.ones(n, np.bool_)
     results: dict[int, EpisodeResult] = {}
-    returns = np.zeros(insertions.n)
-    while running.any():
-        action, hidden = policy.act(observation, hidden)
-        outcome = insertions.step(np.where(running[:, None], action, 0.0))
+    returns = np.zeros(n)
+    while moving.any():
+        action, hidden = actor.act(observation, hidden)
+        outcome = insertions.step(np.where(moving[:, None], action, 0.0))
         observation = outcome.observation
-        returns += np.where(running, outcome.reward, 0.0)
-        for cell in np.flatnonzero(running & (outcome.terminated | outcome.truncated)):
-            results[int(cell)] = EpisodeResult(
-                seed=tasks[cell].seed,
-                success=bool(outcome.success[cell]),
-                fault=bool(outcome.fault[cell]),
-                steps=int(insertions.steps[cell]),
-                peak_force_n=float(outcome.peak_force[cell]),
-                episode_return=float(returns[cell]),
-            )
+        returns += outcome.reward
         ended = outcome.terminated | outcome.truncated
-        insertions.world.stop(np.flatnonzero(running & ended))
-        running &= ~ended
-    return [results[cell] for cell in range(insertions.n)]
+        for cell in np.flatnonzero(ended).tolist():
+            if cell not in results:
+                results[cell] = EpisodeResult(
+                    seed=tasks[cell].seed,
+                    success=bool(outcome.success[cell]),
+                    fault=bool(outcome.fault[cell]),
+                    steps=int(insertions.steps[cell]),
+                    peak_force_n=float(outcome.peak_force[cell]),
+                    episode_return=float(returns[cell]),
+                    success_10mm=False if to_author_depth else None,
+                )
+        stopped = ended
+        if to_author_depth:
+            deep = (outcome.depth >= AUTHOR_DEPTH_M) & insertions.world.contained & ~outcome.fault
+            for cell in np.flatnonzero(deep & moving).tolist():
+                results[cell] = replace(results[cell], success_10mm=True)
+            stopped = deep | outcome.fault | (insertions.steps >= insertions.contract.max_steps)
+        insertions.world.stop(np.flatnonzero(moving & stopped))
+        moving &= ~stopped
+    return [results[cell] for cell in range(n)]
+
+
+def measure(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Setting, list[EpisodeResult]]]:
+    """Play jobs in `workers` processes and give each one's episodes as it ends."""
+    if workers == 1:
+        for job in jobs:
+            yield job.setting, _run(job)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        waiting: set[Future[list[EpisodeResult]]] = set()
+        settings: dict[Future[list[EpisodeResult]], Setting] = {}
+        try:
+            for job in jobs:
+                future = pool.submit(_run, job)
+                settings[future] = job.setting
+                waiting.add(future)
+            while waiting:
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    yield settings[future], future.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def jobs_of(model: Path, sha256: str, block: Block, episodes: int) -> list[Job]:
+    """What is missing of the first `episodes` episodes of a block, in shares of `CELLS`."""
+    seeds = block.missing(episodes)
+    return [
+        Job(model, sha256, block.setting, tuple(seeds[begin : begin + CELLS])) for begin in range(0, len(seeds), CELLS)
+    ]
+
+
+def with_lock(contract: PolicyContract, setting: Setting) -> PolicyContract:
+    """The contract with the setting's lock in the place of its own: a policy under a lock that it was not trained for.
+
+    Raises:
+        ValueError: a policy with a z of its own under `peck`, or without one under another lock.
+    """
+    if setting.lock == contract.dsl.mode:
+        return contract
+    document = contract.model_dump() | {"dsl": replace(contract.dsl, mode=setting.lock)}
+    return PolicyContract.model_validate(document)
+
+
+@lru_cache(maxsize=1)
+def _policy(model: Path, sha256: str) -> Policy:
+    return Policy.load(model, expected_sha256=sha256)
+
+
+@lru_cache(maxsize=1)
+def _insertions(model: Path, sha256: str, setting: Setting, cells: int) -> Insertions:
+    contract = with_lock(_policy(model, sha256).contract, setting)
+    return Insertions(contract, cells, setting.part, 1, setting.force_ceiling_n, setting.reward)
+
+
+def _run(job: Job) -> list[EpisodeResult]:
+    setting = job.setting
+    tasks = [Task(seed, setting.part, setting.clearance_m, setting.conditions) for seed in job.seeds]
+    insertions = _insertions(job.model, job.sha256, setting, len(tasks))
+    return play(_policy(job.model, job.sha256), insertions, tasks, to_author_depth=True)

@@ -9,36 +9,47 @@ import numpy as np
 import onnx
 import onnx.helper
 import torch
-from stable_baselines3 import PPO
 from torch import Tensor, nn
+from torch.nn.functional import linear
 
 from service.policy.contract import EvaluationFigure, PolicyContract
 from service.policy.model import Policy
-from training.network import AsymmetricNetwork
+from training.network import ActorCritic
+from training.run import write
 
 OPSET = 17
 AGREEMENT = 1e-4
-"""Largest difference between an action of the exported graph and of the network, in the action's -1 … 1."""
+"""Largest difference between what the exported graph and the network compute, actions and memories in -1 … 1."""
+PROBES = 64
 
 
 class DeterministicActor(nn.Module):
-    """Raw observation (batch, n) to the mean action (batch, k), cut to -1 … 1."""
+    """Raw observation (batch, n), and the memory (batch, h) of a recurrent policy, to the mean action cut to -1 … 1."""
 
-    def __init__(self, model: PPO) -> None:
+    def __init__(self, network: ActorCritic) -> None:
         super().__init__()
-        network = model.policy.mlp_extractor
-        assert isinstance(network, AsymmetricNetwork)  # noqa: S101  # `training.learn` builds no other
-        self.network, self.head = network, model.policy.action_net
+        self.network = network
 
-    def forward(self, observation: Tensor) -> Tensor:
-        return torch.clamp(self.head(self.network.act_on(observation)), -1.0, 1.0)
+    def forward(self, observation: Tensor, hidden: Tensor | None = None) -> Tensor | tuple[Tensor, Tensor]:
+        network = self.network
+        perceived = network.encoder(network.normalise(observation))
+        if hidden is None:
+            return self._action(perceived, network.layer(perceived))
+        hidden = gru(network.gru, perceived, hidden)
+        return self._action(perceived, hidden), hidden
+
+    def _action(self, perceived: Tensor, hidden: Tensor) -> Tensor:
+        return torch.clamp(self.network.act(perceived, hidden)[0], -1.0, 1.0)
 
 
-def contract_of(model: PPO) -> PolicyContract:
-    """Return the contract that a model was trained under; it is saved with the model."""
-    contract = model.policy_kwargs["contract"]
-    assert isinstance(contract, PolicyContract)  # noqa: S101  # `training.learn` builds no other
-    return contract
+def gru(cell: nn.GRUCell, entering: Tensor, hidden: Tensor) -> Tensor:
+    """What `cell` computes (Cho et al., 2014, as torch writes it), from operators that ONNX has."""
+    reset_in, update_in, new_in = linear(entering, cell.weight_ih, cell.bias_ih).chunk(3, 1)
+    reset_kept, update_kept, new_kept = linear(hidden, cell.weight_hh, cell.bias_hh).chunk(3, 1)
+    reset = torch.sigmoid(reset_in + reset_kept)
+    update = torch.sigmoid(update_in + update_kept)
+    new = torch.tanh(new_in + reset * new_kept)
+    return new + update * (hidden - new)
 
 
 def record_evaluation(path: Path, figures: Sequence[EvaluationFigure]) -> Policy:
@@ -52,41 +63,78 @@ def record_evaluation(path: Path, figures: Sequence[EvaluationFigure]) -> Policy
     contract = Policy.load(path).contract
     measured = {(figure.conditions, figure.clearance_m): figure for figure in (*contract.evaluation, *figures)}
     ordered = sorted(measured.values(), key=lambda figure: (figure.conditions, -figure.clearance_m))
-    document = onnx.load(path)
-    return _write(document, contract.model_copy(update={"evaluation": tuple(ordered)}), path)
+    changed = contract.model_copy(update={"evaluation": tuple(ordered)})
+    return _write(_with_contract(onnx.load(path), changed), path)
 
 
-def export(model: PPO, contract: PolicyContract, path: Path) -> Policy:
-    """Write a model's deterministic actor with its contract, and load it back as a cell would.
+def network_of(contract: PolicyContract, weights: dict[str, Tensor]) -> ActorCritic:
+    """Make the network that `weights`, a state dictionary of `ActorCritic`, belong to.
 
     Raises:
-        ValueError: the exported graph does not compute what the network computes; nothing is written.
+        ValueError: they are those of another network, or of one that sees or does something else.
+    """
+    try:
+        width, hidden = len(weights["encoder.0.bias"]), weights["aux.0.weight"].shape[1]
+        network = ActorCritic(contract, width, hidden, 0.0)
+        expected = {name: network.state_dict()[name].clone() for name in ("normalise.scale", "normalise.clip")}
+        network.load_state_dict(weights)
+    except (KeyError, RuntimeError) as error:
+        raise ValueError(f"these weights do not fit the contract {contract.name!r}: {error}") from error
+    if contract.hidden_size not in (0, hidden):
+        raise ValueError(f"the memory has {hidden} numbers, the contract {contract.name!r} says {contract.hidden_size}")
+    for name, tensor in expected.items():
+        if not torch.equal(tensor, weights[name]):
+            raise ValueError(f"{name} of the weights is not that of the contract {contract.name!r}")
+    return network
+
+
+def to_onnx(network: ActorCritic, contract: PolicyContract) -> bytes:
+    """Return the file of a network's deterministic actor with its contract.
+
+    Raises:
+        ValueError: the exported graph does not compute what the network computes.
         service.policy.model.PolicyError: the service would refuse the file.
     """
-    actor = DeterministicActor(model).cpu().eval()
-    example = torch.randn(64, contract.observation_size) * actor.network.normalise.scale
+    actor = DeterministicActor(network).eval()
+    probe = torch.Generator().manual_seed(0)
+    observation = torch.randn(PROBES, network.seen, generator=probe) * network.normalise.scale
+    hidden = torch.rand(PROBES, network.hidden, generator=probe) * 2.0 - 1.0
+    inputs = {"observation": observation} | ({"hidden": hidden} if network.recurrent else {})
+    outputs = ["action", *(["next_hidden"] if network.recurrent else [])]
     with tempfile.TemporaryDirectory() as directory, warnings.catch_warnings():
         graph = Path(directory) / "actor.onnx"
         warnings.simplefilter("ignore", DeprecationWarning)  # the exporter that takes its place needs another package
         torch.onnx.export(
             actor,
-            (example,),
+            tuple(inputs.values()),
             graph,
-            input_names=["observation"],
-            output_names=["action"],
-            dynamic_axes={"observation": {0: "batch"}, "action": {0: "batch"}},
+            input_names=list(inputs),
+            output_names=outputs,
+            dynamic_axes={name: {0: "batch"} for name in (*inputs, *outputs)},
             opset_version=OPSET,
             dynamo=False,
         )
-        document = onnx.load(graph)
-    policy = Policy(_with_contract(document, contract), source=str(path))
+        data = _with_contract(onnx.load(graph), contract)
     with torch.no_grad():
-        want = actor(example).numpy()
-    got, _ = policy.act(example.numpy())
-    worst = float(np.abs(got - want).max())
+        perceived, remembered = network.remember(observation, hidden)
+        wanted = network.act(perceived, remembered)[0].clamp(-1.0, 1.0).numpy()
+    action, next_hidden = Policy(data).act(observation.numpy(), hidden.numpy() if network.recurrent else None)
+    worst = float(np.abs(action - wanted).max())
+    if next_hidden is not None:
+        worst = max(worst, float(np.abs(next_hidden - remembered.numpy()).max()))
     if worst > AGREEMENT:
-        raise ValueError(f"the exported graph differs from the network by {worst:.2g}; nothing written to {path}")
-    return _write(document, contract, path)
+        raise ValueError(f"the exported graph differs from the network by {worst:.2g}")
+    return data
+
+
+def export(network: ActorCritic, contract: PolicyContract, path: Path) -> Policy:
+    """Write a network's deterministic actor with its contract, once it has loaded as a cell would load it.
+
+    Raises:
+        ValueError: the exported graph does not compute what the network computes; nothing is written.
+        service.policy.model.PolicyError: the service would refuse the file; nothing is written.
+    """
+    return _write(to_onnx(network, contract), path)
 
 
 def _with_contract(document: onnx.ModelProto, contract: PolicyContract) -> bytes:
@@ -94,12 +142,8 @@ def _with_contract(document: onnx.ModelProto, contract: PolicyContract) -> bytes
     return document.SerializeToString()
 
 
-def _write(document: onnx.ModelProto, contract: PolicyContract, path: Path) -> Policy:
-    """Write the file in one go, once it has loaded as a cell would load it."""
-    data = _with_contract(document, contract)
+def _write(data: bytes, path: Path) -> Policy:
     policy = Policy(data, source=str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
-    fresh = path.with_name(path.name + ".new")
-    fresh.write_bytes(data)
-    fresh.replace(path)
+    write(path, data)
     return policy

@@ -1,7 +1,7 @@
 """n peg insertions at once, as the deployed cell runs them: the same world, observation, action, lock and bounds.
 
 This is the environment without any framework. `training.environment` gives it Gymnasium's shape, `training.vector`
-that of stable-baselines3, and `training.evaluate` plays whole episodes on it.
+plays it without end to learn from, and `training.evaluate` plays whole episodes on it.
 """
 
 from collections.abc import Sequence

@@ -1,162 +1,222 @@
-"""PPO with stable-baselines3 on the insertions."""
+"""The training: rollouts, updates, evaluations, and a checkpoint after each update from which it goes on."""
 
+import math
 import sys
 import time
-from collections import deque
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
+from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from service.policy.contract import PolicyContract
-from training.episodes import TaskSource
-from training.estimator import EstimatorTraining
-from training.insertion import Insertions
-from training.network import InsertionPolicy
-from training.parallel import ParallelInsertions
-from training.recipe import Recipe
-from training.vector import InsertionVecEnv
+from training import ppo
+from training.cells import make_cells
+from training.experiment import Experiment
+from training.export import network_of, to_onnx
+from training.network import ActorCritic
+from training.parallel import start
+from training.rollout import Collector, Rollout
+from training.run import CheckpointError, Run, directory_of, read, save
+from training.validation import score, validate
+from training.vector import Ended
+
+RECENT = 500
+"""Episodes over which a line of progress averages."""
+ADAM_EPSILON = 1e-5
 
 
-class Progress(BaseCallback):
-    """Says one line per rollout, into `log.txt` too, and writes checkpoints; `deadline_s` ends the training early."""
-
-    def __init__(
-        self, directory: Path, estimator: EstimatorTraining, deadline_s: float = float("inf"), every: int = 200_000
-    ) -> None:
-        super().__init__()
-        self._estimator = estimator
-        self._directory = directory
-        self._deadline = deadline_s
-        self._every = every
-        self._next = every
-        self._begin = time.monotonic()
-        self._recent: deque[dict[str, Any]] = deque(maxlen=500)
-        self._simulating = 0.0
-        self._rollout_began = 0.0
-        self._done = 0
-        self._bar: tqdm[Any] | None = None
-
-    def _on_training_start(self) -> None:
-        total = int(self.locals["total_timesteps"])
-        self._bar = tqdm(total=total, unit=" steps", unit_scale=True, disable=None)  # none where nobody looks
-
-    def _on_training_end(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-    def _on_rollout_start(self) -> None:
-        self._rollout_began = time.monotonic()
-
-    def _on_rollout_end(self) -> None:
-        now = time.monotonic()
-        self._simulating += now - self._rollout_began
-        elapsed = now - self._begin
-        recent = self._recent
-        if recent:
-            success = np.mean([r["is_success"] for r in recent])
-            peak = np.percentile([r["peak_force"] for r in recent], [50, 99])
-            line = (
-                f"{self.num_timesteps:9d} steps {elapsed:6.0f} s {self.num_timesteps / elapsed:6.0f}/s "
-                f"(simulation {self._simulating / elapsed:.0%}) success {success:.3f} "
-                f"steps/episode {np.mean([r['episode']['l'] for r in recent]):5.1f} "
-                f"return {np.mean([r['episode']['r'] for r in recent]):6.2f} "
-                f"peak force {peak[0]:4.1f} / {peak[1]:4.1f} N faults {np.mean([r['fault'] for r in recent]):.3f} "
-                f"estimator {self._estimator.loss:.3f}"
-            )
-            tqdm.write(line)
-            sys.stdout.flush()
-            with (self._directory / "log.txt").open("a") as log:
-                log.write(line + "\n")
-        if self._bar is not None:
-            self._bar.update(self.num_timesteps - self._done)
-            self._done = self.num_timesteps
-        if self.num_timesteps >= self._next:
-            self._next += self._every
-            save(self.model, self._directory / "checkpoint.zip")
-
-    def _on_step(self) -> bool:
-        self._recent.extend(info for info in self.locals["infos"] if "episode" in info)
-        return time.monotonic() - self._begin < self._deadline
+class TrainingError(RuntimeError):
+    """A training that cannot go on; the text says why."""
 
 
-def save(model: BaseAlgorithm, path: Path) -> None:
-    """Write a model in one go: whoever reads `path` finds the old one or the new one."""
-    fresh = path.with_suffix(".new.zip")
-    model.save(fresh)
-    fresh.replace(path)
-
-
-def build(contract: PolicyContract, tasks: TaskSource, recipe: Recipe) -> PPO:
-    """Make an untrained model and its environment, whose `close` is the caller's."""
-    make = partial(_environment, contract, tasks, recipe)
-    return PPO(
-        InsertionPolicy,
-        make(0) if recipe.workers == 1 else ParallelInsertions(make, recipe.workers),
-        learning_rate=lambda left: recipe.learning_rate * (0.1 + 0.9 * left),
-        n_steps=recipe.rollout,
-        batch_size=recipe.batch,
-        n_epochs=recipe.epochs,
-        gamma=recipe.gamma,
-        gae_lambda=recipe.gae_lambda,
-        ent_coef=recipe.entropy,
-        target_kl=recipe.target_kl,
-        seed=recipe.seed,
-        device=recipe.device,
-        policy_kwargs={
-            "contract": contract,
-            "hidden": list(recipe.hidden),
-            "log_std_init": recipe.initial_log_std,
-            "share_features_extractor": True,
-        },
-    )
-
-
-def learn(
-    contract: PolicyContract,
-    tasks: TaskSource,
-    recipe: Recipe,
-    directory: Path,
-    start_from: Path | None = None,
-    deadline_s: float = float("inf"),
-) -> PPO:
-    """Train a policy; checkpoints and the final model go to `directory`.
+def learn(run: Run, start_from: Path | None = None, deadline_s: float = float("inf")) -> ActorCritic:
+    """Train, or go on with, one experiment and seed; everything that comes of it goes to the run's folder.
 
     Args:
-        contract: what the policy sees and does.
-        tasks: what it is trained on.
-        recipe: how.
-        directory: is made if it does not exist.
-        start_from: a model saved by an earlier run, whose weights this one begins with.
-        deadline_s: seconds after which the training ends with what it has.
+        run: the experiment, the seed, the folder.
+        start_from: weights to begin with; None: those that the experiment names, if it names any.
+        deadline_s: host time after which this session ends with what it has; the next one goes on from there.
+
+    Raises:
+        ExperimentError: the experiment is no longer the one that the folder's training began with.
+        CheckpointError: weights to begin with are missing or of another network.
+        TrainingError: it diverged; the checkpoint is from before.
+        WorkerError: a worker's process has ended, or failed.
     """
-    directory.mkdir(parents=True, exist_ok=True)
-    if recipe.torch_threads:
-        torch.set_num_threads(recipe.torch_threads)
-    model = build(contract, tasks, recipe)
-    estimator = EstimatorTraining()
-    environment = model.get_env()
-    if start_from is not None:
-        earlier = PPO.load(start_from, device=recipe.device)
-        model.set_parameters(cast(Any, earlier.get_parameters()))
+    torch.set_num_threads(1)  # the cells' processes have the cores; an update by several threads is no faster
+    training = _Training(run, start_from)
     try:
-        model.learn(recipe.steps, callback=[estimator, Progress(directory, estimator, deadline_s)])
-        save(model, directory / "final.zip")
-    except KeyboardInterrupt:
-        save(model, directory / "checkpoint.zip")
-        raise
+        training.go_on(deadline_s)
     finally:
-        if environment is not None:
-            environment.close()
-    return model
+        training.close()
+    return training.network
 
 
-def _environment(contract: PolicyContract, tasks: TaskSource, recipe: Recipe, worker: int) -> InsertionVecEnv:
-    cells = Insertions(contract, recipe.cells // recipe.workers, tasks.part, recipe.threads, reward_name=recipe.reward)
-    return InsertionVecEnv(cells, tasks, recipe.seed * 1000 + worker)
+def untrained(experiment: Experiment, seed: int) -> ActorCritic:
+    """Return the network that a training begins with."""
+    torch.manual_seed(seed)
+    algorithm = experiment.algorithm
+    return ActorCritic(experiment.contract(), algorithm.width, algorithm.hidden, algorithm.initial_log_std)
+
+
+class _Training:
+    """The state of a training under way."""
+
+    def __init__(self, run: Run, start_from: Path | None) -> None:
+        self._run = run
+        self._experiment = run.experiment
+        self._algorithm = run.experiment.algorithm
+        self._contract = run.experiment.contract()
+        self.network = untrained(run.experiment, run.seed)
+        self._optimiser = torch.optim.Adam(self.network.parameters(), self._algorithm.learning_rate, eps=ADAM_EPSILON)
+        self._steps, self._earlier_s, self._evaluated = 0, 0.0, -1
+        self._best = (-1.0, 0.0)
+        checkpoint = read(run.checkpoint) if run.checkpoint.is_file() else None
+        if checkpoint is None:
+            self._load(start_from or self._named_start())
+            run.open(0)
+        else:
+            run.open(checkpoint["steps"])
+            self._restore(checkpoint)
+        self._cells = start(partial(make_cells, self._experiment, run.seed, self._steps), self._algorithm.workers)
+        self._board = SummaryWriter(run.directory / "tensorboard", purge_step=self._steps)
+        self._recent: Ended | None = None
+        self._began = time.monotonic()
+
+    def go_on(self, deadline_s: float) -> None:
+        """Alternate rollouts and updates to the end."""
+        total = self._algorithm.steps
+        if self._steps >= total:
+            return
+        collector = Collector(self._cells, self.network)
+        bar = tqdm(total=total, initial=self._steps, unit=" steps", unit_scale=True, disable=None)
+        with bar:
+            if self._evaluated < 0:
+                self._evaluate()
+            while self._steps < total and time.monotonic() - self._began < deadline_s:
+                began = time.monotonic()
+                for group in self._optimiser.param_groups:
+                    group["lr"] = self._algorithm.learning_rate * (1.0 - 0.9 * self._steps / total)
+                rollout = collector.collect(self._algorithm.rollout)
+                losses = ppo.update(self.network, self._optimiser, rollout, self._algorithm)
+                if not all(math.isfinite(value) for value in asdict(losses).values()):
+                    raise TrainingError(f"diverged at {self._steps} steps: {losses}; try a smaller learning_rate")
+                self._steps += rollout.reward.numel()
+                bar.update(rollout.reward.numel())
+                self._note(rollout, losses, time.monotonic() - began, bar)
+                due = self._steps // self._experiment.evaluation.every_steps
+                if due > self._evaluated // self._experiment.evaluation.every_steps or self._steps >= total:
+                    self._evaluate()
+                self._checkpoint()
+
+    def close(self) -> None:
+        self._cells.close()
+        self._board.close()
+
+    @property
+    def _elapsed_s(self) -> float:
+        """Host time of all sessions."""
+        return self._earlier_s + time.monotonic() - self._began
+
+    def _note(self, rollout: Rollout, losses: ppo.Losses, spent_s: float, bar: "tqdm[Any]") -> None:
+        """Say how training goes, over the latest episodes."""
+        recent = Ended.joined([self._recent, rollout.ended] if self._recent else [rollout.ended]).latest(RECENT)
+        self._recent = recent
+        figures: dict[str, float] = {
+            "steps_per_s": rollout.reward.numel() / spent_s,
+            "simulation_share": rollout.simulating_s / spent_s,
+            "episodes": len(recent),
+            **asdict(losses),
+            "std": float(self.network.log_std.detach().exp().mean()),
+            "learning_rate": self._optimiser.param_groups[0]["lr"],
+        }
+        if len(recent):
+            median, p99 = np.percentile(recent.peak_force, [50, 99]).tolist()
+            figures |= {
+                "success": float(recent.success.mean()),
+                "fault": float(recent.fault.mean()),
+                "episode_steps": float(recent.steps.mean()),
+                "episode_return": float(recent.episode_return.mean()),
+                "peak_force_median_n": median,
+                "peak_force_p99_n": p99,
+            }
+            bar.set_postfix(success=f"{figures['success']:.1%}", force=f"{p99:.1f} N")
+        self._add("rollout", "rollout", figures)
+
+    def _evaluate(self) -> None:
+        """Play the validation's episodes; keep the weights if they are the best so far."""
+        validations = validate(self._experiment, to_onnx(self.network, self._contract), self._cells)
+        for validation in validations:
+            record = validation.record()
+            self._add("evaluation", f"evaluation/{validation.part} {validation.clearance_m * 1e3:.2f} mm", record)
+        told = ", ".join(f"{v.part} {v.clearance_m * 1e3:.2f} mm {v.success:.1%}" for v in validations)
+        tqdm.write(
+            f"{self._experiment.name} seed {self._run.seed}: {self._steps} steps, {self._elapsed_s:.0f} s: {told}"
+        )
+        sys.stdout.flush()
+        reached = score(validations)
+        if reached > self._best:
+            self._best = reached
+            save(
+                self._run.best,
+                {
+                    **self._weights(),
+                    "score": list(reached),
+                    "validation": [validation.record() for validation in validations],
+                },
+            )
+        self._evaluated = self._steps
+
+    def _add(self, kind: str, tag: str, figures: dict[str, Any]) -> None:
+        numbers = {name: round(value, 6) if isinstance(value, float) else value for name, value in figures.items()}
+        self._run.add({"kind": kind, "steps": self._steps, "elapsed_s": round(self._elapsed_s, 2), **numbers})
+        for name, value in figures.items():
+            if not isinstance(value, str):
+                self._board.add_scalar(f"{tag}/{name}", value, self._steps)
+
+    def _weights(self) -> dict[str, Any]:
+        return {
+            "net": self.network.state_dict(),
+            "steps": self._steps,
+            "elapsed_s": self._elapsed_s,
+            "contract": self._contract.to_json(),
+        }
+
+    def _checkpoint(self) -> None:
+        save(
+            self._run.checkpoint,
+            {
+                **self._weights(),
+                "optimiser": self._optimiser.state_dict(),
+                "evaluated": self._evaluated,
+                "random": torch.get_rng_state(),
+            },
+        )
+
+    def _restore(self, document: dict[str, Any]) -> None:
+        self.network.load_state_dict(document["net"])
+        self._optimiser.load_state_dict(document["optimiser"])
+        torch.set_rng_state(document["random"])
+        self._steps, self._earlier_s = document["steps"], document["elapsed_s"]
+        self._evaluated = document["evaluated"]
+        if self._run.best.is_file():
+            self._best = tuple(read(self._run.best)["score"])
+
+    def _named_start(self) -> Path | None:
+        name = self._experiment.start_from
+        return None if name is None else directory_of(name, self._run.seed) / "best.pt"
+
+    def _load(self, path: Path | None) -> None:
+        """Begin with these weights, if any, but explore as much as a training does at its start."""
+        if path is None:
+            return
+        try:
+            self.network.load_state_dict(network_of(self._contract, read(path)["net"]).state_dict())
+        except (ValueError, RuntimeError) as error:
+            raise CheckpointError(f"cannot begin with {path}: {error}") from error
+        with torch.no_grad():
+            self.network.log_std.clamp_(min=self._algorithm.initial_log_std)

@@ -1,23 +1,23 @@
 """The network: an actor that sees what the cell measures, a critic that may also see what only the simulation knows.
 
 Normalisation belongs to the graph: the actor takes raw physical units, divides by the contract's scales and cuts at its
-clips, in training and in the exported model alike. An estimator of the hole's pose, taught by `training.estimator`, is
-part of the actor's graph.
+clips, in training and in the exported model alike. So does an auxiliary head, which learns to say where the hole is
+from what the actor remembers; the actor is handed its guess, but the actor's gradient does not reach it.
 """
 
-from itertools import pairwise
-from typing import Any
-
 import torch
-from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import Tensor, nn
 
 from service.policy.contract import PolicyContract
 from training.insertion import AIM, PRIVILEGED_SIZE
 
+AIMS = AIM.stop - AIM.start
+HEAD_SHRINK = 0.05
+"""Of the action's last layer at the start: an untrained policy does next to nothing but explore."""
+
 
 class Normalisation(nn.Module):
-    """Raw observation (batch, size) to about -1 … 1, by the contract's scales and clips."""
+    """Raw observation (..., size) to about -1 … 1, by the contract's scales and clips."""
 
     scale: Tensor
     clip: Tensor
@@ -37,48 +37,97 @@ class Normalisation(nn.Module):
         return torch.minimum(torch.maximum(observation / self.scale, -self.clip), self.clip)
 
 
-def _layers(sizes: list[int]) -> nn.Sequential:
-    modules: list[nn.Module] = []
-    for before, after in pairwise(sizes):
-        modules += [nn.Linear(before, after), nn.ELU()]
-    return nn.Sequential(*modules)
+class ActorCritic(nn.Module):
+    """Actor, auxiliary head and critic on one memory.
 
+    Args:
+        contract: what the policy sees and does; with `hidden_size` 0 a feed-forward layer takes the memory's place.
+        width: of the encoder.
+        hidden: width of the memory, or of that layer.
+        initial_log_std: of the exploration, every component.
 
-class AsymmetricNetwork(nn.Module):
-    """Both towers, in the form that stable-baselines3 asks of a custom network."""
+    Attributes:
+        seen: length of the policy's part of the features, the critic's own `PRIVILEGED_SIZE` come after it.
+        hidden: width of the memory.
+        recurrent: whether it remembers.
+        log_std: (k,) of the exploration.
+    """
 
-    def __init__(self, contract: PolicyContract, hidden: list[int]) -> None:
+    def __init__(self, contract: PolicyContract, width: int, hidden: int, initial_log_std: float) -> None:
         super().__init__()
+        actions = len(contract.action)
         self.normalise = Normalisation(contract)
-        self.seen = len(self.normalise.scale)
-        aims = AIM.stop - AIM.start
-        self.estimator = nn.Sequential(_layers([self.seen, 256, 128]), nn.Linear(128, aims))
-        self.actor = _layers([self.seen + aims, *hidden])
-        self.critic = _layers([self.seen + PRIVILEGED_SIZE, *hidden])
-        self.latent_dim_pi = self.latent_dim_vf = hidden[-1]
+        self.seen = contract.observation_size
+        self.hidden = hidden
+        self.recurrent = contract.hidden_size > 0
+        self.encoder = nn.Sequential(nn.Linear(self.seen, width), nn.ELU())
+        if self.recurrent:
+            self.gru = nn.GRUCell(width, hidden)
+        else:
+            self.layer = nn.Sequential(nn.Linear(width, hidden), nn.ELU())
+        self.aux = nn.Sequential(nn.Linear(hidden, 64), nn.ELU(), nn.Linear(64, AIMS))
+        last = nn.Linear(128, actions)
+        with torch.no_grad():
+            last.weight *= HEAD_SHRINK
+            last.bias.zero_()
+        self.head = nn.Sequential(nn.Linear(hidden + width + AIMS, 128), nn.ELU(), last)
+        self.log_std = nn.Parameter(torch.full((actions,), initial_log_std))
+        self.critic = nn.Sequential(
+            nn.Linear(self.seen + PRIVILEGED_SIZE + hidden, 256),
+            nn.ELU(),
+            nn.Linear(256, 128),
+            nn.ELU(),
+            nn.Linear(128, 1),
+        )
 
-    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        return self.forward_actor(features), self.forward_critic(features)
+    def initial_hidden(self, cells: int) -> Tensor:
+        """Memory at the beginning of an episode, (cells, hidden)."""
+        return torch.zeros(cells, self.hidden)
 
-    def forward_actor(self, features: Tensor) -> Tensor:
-        return self.act_on(features[:, : self.seen])
+    def remember(self, observation: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
+        """One step.
 
-    def act_on(self, observation: Tensor) -> Tensor:
-        """Last hidden layer of the actor, from a raw observation: with the estimate of the hole as a further input."""
-        seen = self.normalise(observation)
-        return self.actor(torch.cat([seen, self.estimator(seen).detach()], dim=1))
+        Args:
+            observation: (n, seen) raw.
+            hidden: (n, hidden) memory before it.
 
-    def forward_critic(self, features: Tensor) -> Tensor:
-        return self.critic(torch.cat([self.normalise(features[:, : self.seen]), features[:, self.seen :]], dim=1))
+        Returns:
+            What was perceived (n, width) and the memory after it (n, hidden).
+        """
+        perceived = self.encoder(self.normalise(observation))
+        return perceived, self.gru(perceived, hidden) if self.recurrent else self.layer(perceived)
 
+    def remember_sequence(self, observation: Tensor, hidden: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+        """Steps in a row: like `remember`, for observations (t, n, seen).
 
-class InsertionPolicy(ActorCriticPolicy):
-    """stable-baselines3's actor-critic on the network above."""
+        Args:
+            observation: raw.
+            hidden: (n, hidden) before the first.
+            begins: (t, n) 1 where an episode begins with this step, which forgets what was before; else 0.
 
-    def __init__(self, *args: Any, contract: PolicyContract, hidden: list[int], **kwargs: Any) -> None:
-        self._contract, self._hidden = contract, hidden
-        super().__init__(*args, **kwargs)
+        Returns:
+            What was perceived (t, n, width) and the memory after each step (t, n, hidden).
+        """
+        perceived = self.encoder(self.normalise(observation))
+        if not self.recurrent:
+            return perceived, self.layer(perceived)
+        kept = (1.0 - begins)[..., None]
+        memories: list[Tensor] = []
+        for step, keep in zip(perceived, kept, strict=True):
+            hidden = self.gru(step, hidden * keep)
+            memories.append(hidden)
+        return perceived, torch.stack(memories)
 
-    def _build_mlp_extractor(self) -> None:
-        network = AsymmetricNetwork(self._contract, self._hidden).to(self.device)
-        self.mlp_extractor = network  # pyright: ignore[reportAttributeAccessIssue]  # its documented extension point
+    def act(self, perceived: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean action (..., k), not cut, and the auxiliary head's guess (..., AIMS)."""
+        guess = self.aux(hidden)
+        return self.head(torch.cat([hidden, perceived, guess.detach()], -1)), guess
+
+    def value(self, features: Tensor, hidden: Tensor) -> Tensor:
+        """Expected return (...) of the features (..., seen + PRIVILEGED_SIZE); does not train the memory."""
+        seen, privileged = features[..., : self.seen], features[..., self.seen :]
+        return self.critic(torch.cat([self.normalise(seen), privileged, hidden.detach()], -1))[..., 0]
+
+    def log_density(self, action: Tensor, mean: Tensor) -> Tensor:
+        """Logarithm of the exploration's density (...) at `action`, but for a constant."""
+        return (-0.5 * ((action - mean) / self.log_std.exp()) ** 2 - self.log_std).sum(-1)

@@ -1,6 +1,7 @@
-"""The same seeds through the deployed service: simulator and control process as processes of their own, over Zenoh.
+"""The same seeds through the deployed service: world and control process as processes of their own.
 
-The control process never learns the truth. It is asked of the simulator, where the tool stands when the run has ended.
+The arm is the simulated one over Zenoh, in lockstep, or an emulated UR controller over RTDE, in real time. The control
+process never learns the truth. It is asked of the simulator, where the tool stands when the run has ended.
 """
 
 import asyncio
@@ -17,24 +18,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import zenoh
 
 from service.client import CellClient, CellError, CellRefusedError
 from service.messages import CellState, ResetRequest, Run, RunState, StartRequest
 from service.transport import close_session, open_session, query
 from sim_backend.protocol import keys
-from sim_backend.protocol.task import Conditions, Part
-from sim_backend.scene import NOMINAL_HOLE_M
+from sim_backend.scene import NOMINAL_HOLE_M, PAYLOAD_COM_M, PAYLOAD_KG, TCP_OFFSET_M
 from sim_backend.world import START_POSITION_M, START_YAW_RAD
-from training.evaluate import Report, wilson
 from training.insertion import LIMITS, SUCCESS_DEPTH_M
+from training.results import EpisodeResult, Setting
 
 CELL, WORLD, RECIPE = "evaluation", "evaluation", "evaluated"
+HOST = "127.0.0.1"
 READY_S = 60.0
 """Host time for the processes to come up, and for a cell to be ready after a run."""
 RUN_S = 300.0
 """Host time for one run; in lockstep it takes what the machine needs."""
+SAMPLE_AGE_S = 0.08
+"""Age of a sample at which the cell of a general-purpose host stops, as in the shipped configurations."""
 POLL_S = 0.05
 STOP_S = 5.0
 
@@ -64,106 +66,102 @@ class ServiceEpisode:
         """Whether the service says that it succeeded."""
         return self.run.state is RunState.SUCCEEDED
 
+    @property
+    def result(self) -> EpisodeResult:
+        """As it is kept: success by the truth."""
+        return EpisodeResult(
+            seed=self.seed,
+            success=self.inserted,
+            fault=self.run.state is RunState.LATCHED,
+            steps=self.run.steps,
+            peak_force_n=self.run.peak_force_n,
+            claimed=self.claimed,
+            code=self.run.code,
+        )
+
 
 def play(
-    model: Path,
-    seeds: list[int],
-    clearance_m: float,
-    *,
-    part: Part = "tr",
-    conditions: Conditions = "standard",
-    force_ceiling_n: float = 30.0,
-    on_episode: Callable[[int], object] = lambda _: None,
+    model: Path, seeds: list[int], setting: Setting, *, on_episode: Callable[[ServiceEpisode], object] = lambda _: None
 ) -> list[ServiceEpisode]:
     """Play seeds, one after another.
 
     Args:
         model: ONNX file of the policy.
         seeds: of the worlds.
-        clearance_m: per face.
-        part: peg and hole.
-        conditions: distributions that the worlds are drawn from.
-        force_ceiling_n: of the cell.
-        on_episode: is told 1 after each run.
+        setting: part, clearance, conditions, ceiling, and through which arm; its lock is the policy's own.
+        on_episode: is told each run when it has ended.
 
     Raises:
         ServiceError: the processes do not come up, or a run does not end.
     """
     with tempfile.TemporaryDirectory(prefix="dsl-assembly-") as directory, ExitStack() as processes:
-        sim_endpoint, cell_endpoint = (f"tcp/127.0.0.1:{port}" for port in _free_ports(2))
-        config = Path(directory) / "cell.toml"
-        config.write_text(
-            _toml(
-                {
-                    "cell": {"id": CELL, "endpoint": cell_endpoint, "state_dir": "state"},
-                    "limits": {"force_ceiling_n": force_ceiling_n, "workspace_m": LIMITS.workspace},
-                    "sim": {"world": WORLD, "endpoint": sim_endpoint, "mode": "lockstep", "autostart": False},
-                    f"recipes.{RECIPE}": {
-                        "part": part,
-                        "clearance_m": clearance_m,
-                        "policy": str(model.resolve()),
-                        "start_position_m": START_POSITION_M,
-                        "start_yaw_rad": START_YAW_RAD,
-                        "nominal_hole_m": NOMINAL_HOLE_M,
-                        "conditions": conditions,
-                        "allow_lock": ["paper", "peck", "sliding", "off"],  # a measurement, not a cell at work
-                        "retract": False,  # so that the end of the run can be looked at
-                    },
-                }
-            )
-        )
-        simulator = ["sim_backend", "serve", "--world", WORLD, "--mode", "lockstep", "--listen", sim_endpoint]
+        sim_endpoint, cell_endpoint = (f"tcp/{HOST}:{port}" for port in _free_ports(2))
+        world = ["sim_backend", *_arm(setting), "--world", WORLD, "--listen", sim_endpoint]
         logs = [Path(directory) / name for name in ("simulator.log", "service.log")]
-        started = [
-            processes.enter_context(_process(simulator, logs[0])),
-            processes.enter_context(_process(["service", "run", "--config", str(config)], logs[1])),
-        ]
+        simulator = processes.enter_context(_process(world, logs[0]))
+        ready = _await_line(simulator, logs[0])
+        config = Path(directory) / "cell.toml"
+        config.write_text(_toml(_configuration(model, setting, cell_endpoint, sim_endpoint, ready)))
+        service = processes.enter_context(_process(["service", "run", "--config", str(config)], logs[1]))
         try:
             return asyncio.run(_play(seeds, cell_endpoint, sim_endpoint, on_episode))
         except (CellError, TimeoutError) as error:
             said = "\n".join(log.read_text()[-2000:] for log in logs)
-            ended = sum(process.poll() is not None for process in started)
+            ended = sum(process.poll() is not None for process in (simulator, service))
             text = f"{error or 'nothing within its time'}; {ended} of 2 processes have ended; they said:\n{said}"
             raise ServiceError(text) from error
 
 
-def table(report: Report, played: list[ServiceEpisode]) -> str:
-    """Compare the batched environment with the service on the same seeds, in Markdown."""
-    batched = {episode.seed: episode for episode in report.episodes}
-    same = [batched[episode.seed] for episode in played]
-    rows = [
-        ("batched environment", [e.success for e in same], [e.steps for e in same], [e.peak_force_n for e in same]),
-        *(
-            (name, verdict, [e.run.steps for e in played], [e.run.peak_force_n for e in played])
-            for name, verdict in (
-                ("through the service, its own outcome", [e.claimed for e in played]),
-                ("through the service, true state", [e.inserted for e in played]),
-            )
-        ),
-    ]
-    lines = [
-        f"clearance {report.clearance_m * 1e3:.2f} mm, {report.conditions} conditions, "
-        f"seeds {played[0].seed} to {played[-1].seed}",
-        "",
-        "| | success (95 % interval) | mean steps | peak force median/max, N |",
-        "|---|---|---|---|",
-    ]
-    for name, verdict, steps, peaks in rows:
-        low, high = wilson(sum(verdict), len(verdict))
-        lines.append(
-            f"| {name} | {sum(verdict)}/{len(verdict)} = {sum(verdict) / len(verdict):.1%} ({low:.1%} to {high:.1%}) | "
-            f"{np.mean(steps):.0f} | {np.median(peaks):.1f}/{np.max(peaks):.1f} |"
-        )
-    wrong = [episode for episode in played if episode.claimed != episode.inserted]
-    lines += ["", f"outcome and truth differ in {len(wrong)} of {len(played)} runs"]
-    lines += [f"- seed {e.seed}: {e.run.state}, true depth {e.depth_m * 1e3:.2f} mm" for e in wrong]
-    codes = [e.run.code for e in played if e.run.code is not None]
-    lines += [f"- ended by {code}: {codes.count(code)}" for code in sorted(set(codes))]
-    return "\n".join(lines)
+def _arm(setting: Setting) -> list[str]:
+    if setting.through == "rtde":
+        return ["ur-controller", "--any-ports", "--host", HOST, "--part", setting.part]
+    return ["serve", "--mode", "lockstep"]
+
+
+def _configuration(
+    model: Path, setting: Setting, cell_endpoint: str, sim_endpoint: str, ready: dict[str, str]
+) -> dict[str, dict[str, Any]]:
+    """Sections of the cell's TOML; `ready` is what the simulator said when it came up."""
+    over_rtde = setting.through == "rtde"
+    limits = {"force_ceiling_n": setting.force_ceiling_n, "workspace_m": LIMITS.workspace}
+    sections: dict[str, dict[str, Any]] = {
+        "cell": {
+            "id": CELL,
+            "endpoint": cell_endpoint,
+            "state_dir": "state",
+            "driver": "ur" if over_rtde else "zenoh_sim",
+        },
+        "limits": limits | ({"sample_age_s": SAMPLE_AGE_S} if over_rtde else {}),
+        "sim": {"world": WORLD, "endpoint": sim_endpoint, "mode": "lockstep", "autostart": False},
+        f"recipes.{RECIPE}": {
+            "part": setting.part,
+            "clearance_m": setting.clearance_m,
+            "policy": str(model.resolve()),
+            "start_position_m": START_POSITION_M,
+            "start_yaw_rad": START_YAW_RAD,
+            "nominal_hole_m": NOMINAL_HOLE_M,
+            "conditions": setting.conditions,
+            "allow_lock": ["paper", "peck", "sliding", "off"],  # a measurement, not a cell at work
+            "retract": False,  # so that the end of the run can be looked at
+        },
+    }
+    if over_rtde:
+        sections["ur"] = {
+            "host": HOST,
+            "rtde_port": int(ready["rtde"]),
+            "dashboard_port": int(ready["dashboard"]),
+            "primary_port": int(ready["primary"]),
+            "simulated": True,
+            "payload_kg": PAYLOAD_KG,
+            "payload_com_m": [0.0, 0.0, PAYLOAD_COM_M],
+            "tcp_m": [0.0, 0.0, TCP_OFFSET_M, 0.0, 0.0, 0.0],
+        }
+        sections["camera"] = {"endpoint": sim_endpoint, "key": keys.CAMERA.format(world=WORLD)}
+    return sections
 
 
 async def _play(
-    seeds: list[int], cell_endpoint: str, sim_endpoint: str, on_episode: Callable[[int], object]
+    seeds: list[int], cell_endpoint: str, sim_endpoint: str, on_episode: Callable[[ServiceEpisode], object]
 ) -> list[ServiceEpisode]:
     session = await asyncio.to_thread(open_session, connect=[sim_endpoint])
     try:
@@ -171,7 +169,7 @@ async def _play(
             played: list[ServiceEpisode] = []
             for seed in seeds:
                 played.append(await _play_one(seed, cell, session))
-                on_episode(1)
+                on_episode(played[-1])
             return played
     finally:
         await asyncio.to_thread(close_session, session)
@@ -211,6 +209,18 @@ async def _await_ready(cell: CellClient) -> None:
             refusal = str(error)
         await asyncio.sleep(POLL_S)
     raise ServiceError(f"the cell cannot start a run: {refusal}")
+
+
+def _await_line(process: subprocess.Popen[bytes], log: Path) -> dict[str, str]:
+    """Wait for the simulator's `ready name=value …` and return what it says."""
+    deadline = time.monotonic() + READY_S
+    while time.monotonic() < deadline and process.poll() is None:
+        for line in log.read_text().splitlines():
+            word, *facts = line.split()
+            if word == "ready":
+                return dict(fact.split("=", 1) for fact in facts)
+        time.sleep(POLL_S)
+    raise ServiceError(f"the simulator did not come up; it said:\n{log.read_text()[-2000:]}")
 
 
 @contextmanager

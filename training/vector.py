@@ -1,92 +1,147 @@
-"""The insertions as a vectorised environment of stable-baselines3, with a privileged view for the critic."""
+"""Cells that play one episode after another, with a privileged view for the critic."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
 
-import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-from stable_baselines3.common.vec_env import VecEnv
 
 from training.episodes import TaskSource
 from training.insertion import PRIVILEGED_SIZE, Insertions
 
+Float32Array = npt.NDArray[np.float32]
+Job = Callable[[], Any]
+"""Work beside the training, picklable and with a result that is."""
 
-class InsertionVecEnv(VecEnv):
-    """n cells that begin a new episode as soon as one ends.
 
-    The observation is the policy's, in raw units, followed by `PRIVILEGED_SIZE` numbers for the critic alone;
-    `training.network` separates them.
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """Episodes that ended in a step, or in several; arrays (k,).
+
+    Attributes:
+        success: the peg was in.
+        fault: the force ceiling or the arm's controller ended it.
+        steps: taken.
+        peak_force: largest resultant over every sample, N.
+        episode_return: sum of the rewards.
     """
 
-    def __init__(self, insertions: Insertions, tasks: TaskSource, seed: int = 0) -> None:
+    success: npt.NDArray[np.bool_]
+    fault: npt.NDArray[np.bool_]
+    steps: npt.NDArray[np.int64]
+    peak_force: npt.NDArray[np.float64]
+    episode_return: npt.NDArray[np.float64]
+
+    @classmethod
+    def joined(cls, parts: "list[Ended]") -> "Ended":
+        """Return all episodes of `parts`, which must not be empty."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__))
+
+    def latest(self, count: int) -> "Ended":
+        """Return the last `count` of them."""
+        return Ended(*(getattr(self, name)[-count:] for name in self.__slots__))
+
+    def __len__(self) -> int:
+        return len(self.success)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step of every cell; arrays (n, …).
+
+    Attributes:
+        features: (n, size) float32, what the policy sees, in raw units, then `PRIVILEGED_SIZE` numbers for the critic.
+            Of the next episode's beginning where one has ended.
+        reward: float32.
+        done: an episode ended, by success, fault or time.
+        ended: how.
+    """
+
+    features: Float32Array
+    reward: Float32Array
+    done: npt.NDArray[np.bool_]
+    ended: Ended
+
+
+class Cells(Protocol):
+    """Cells that begin a new episode as soon as one ends, in this process or in others.
+
+    Attributes:
+        n: how many.
+        feature_size: of the features of each.
+        action_size: of the action of each.
+        workers: processes that they are spread over, this one included.
+    """
+
+    n: int
+    feature_size: int
+    action_size: int
+    workers: int
+
+    def reset(self) -> Float32Array:
+        """Begin an episode in every cell; (n, feature_size)."""
+        ...
+
+    def step(self, action: npt.NDArray[Any]) -> Step:
+        """One policy step of every cell; `action` (n, action_size) in [-1, 1]."""
+        ...
+
+    def run(self, jobs: Sequence[Job]) -> list[Any]:
+        """Do `jobs` where the cells are, which stand still meanwhile; return the results in order."""
+        ...
+
+    def close(self) -> None:
+        """End what steps the cells; may be called again."""
+        ...
+
+
+class EndlessInsertions:
+    """`Cells` in this process.
+
+    Args:
+        insertions: the cells.
+        tasks: where episodes come from.
+        seed: of their draw.
+    """
+
+    def __init__(self, insertions: Insertions, tasks: TaskSource, seed: int | list[int] = 0) -> None:
         self._cells = insertions
         self._tasks = tasks
         self._rng = np.random.default_rng(seed)
-        self._action = np.zeros((insertions.n, insertions.action_size))
         self._returns = np.zeros(insertions.n)
-        self.render_mode = None
-        size = insertions.observation_size + PRIVILEGED_SIZE
-        super().__init__(
-            insertions.n,
-            gym.spaces.Box(-np.inf, np.inf, (size,), np.float32),
-            gym.spaces.Box(-1.0, 1.0, (insertions.action_size,), np.float32),
-        )
+        self.n = insertions.n
+        self.workers = 1
+        self.feature_size = insertions.observation_size + PRIVILEGED_SIZE
+        self.action_size = insertions.action_size
 
-    def reset(self) -> npt.NDArray[np.float32]:
-        self._cells.reset(np.arange(self.num_envs), self._tasks.draw(self._rng, self.num_envs))
+    def reset(self) -> Float32Array:
+        self._cells.reset(np.arange(self.n), self._tasks.draw(self._rng, self.n))
         self._returns[:] = 0.0
-        return self._observation()
+        return self._features()
 
-    def step_async(self, actions: npt.NDArray[Any]) -> None:
-        self._action = actions
-
-    def step_wait(
-        self,
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
-        outcome = self._cells.step(self._action)
+    def step(self, action: npt.NDArray[Any]) -> Step:
+        outcome = self._cells.step(action)
         done = outcome.terminated | outcome.truncated
         self._returns += outcome.reward
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        observation = self._observation()
-        ended = np.flatnonzero(done)
-        for cell in ended:
-            infos[cell] = {
-                "terminal_observation": observation[cell],
-                "TimeLimit.truncated": bool(outcome.truncated[cell]),
-                "episode": {"r": float(self._returns[cell]), "l": int(self._cells.steps[cell]), "t": 0.0},
-                "is_success": bool(outcome.success[cell]),
-                "peak_force": float(outcome.peak_force[cell]),
-                "fault": bool(outcome.fault[cell]),
-            }
-        if ended.size:
-            self._returns[ended] = 0.0
-            self._cells.reset(ended, self._tasks.draw(self._rng, ended.size))
-            observation = observation.copy()
-            observation[ended] = self._observation()[ended]
-        return observation, outcome.reward.astype(np.float32), done, infos
+        over = np.flatnonzero(done)
+        ended = Ended(
+            outcome.success[over],
+            outcome.fault[over],
+            self._cells.steps[over],
+            outcome.peak_force[over],
+            self._returns[over],
+        )
+        if over.size:
+            self._returns[over] = 0.0
+            self._cells.reset(over, self._tasks.draw(self._rng, over.size))
+        return Step(self._features(), outcome.reward.astype(np.float32), done, ended)
 
-    def seed(self, seed: int | None = None) -> list[int | None]:
-        self._rng = np.random.default_rng(seed)
-        return [seed] * self.num_envs
+    def run(self, jobs: Sequence[Job]) -> list[Any]:
+        return [job() for job in jobs]
 
     def close(self) -> None:
         """Nothing is held open."""
 
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        return [getattr(self, attr_name)] * len(self._indices(indices))
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        setattr(self, attr_name, value)
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        raise NotImplementedError(f"the cells step together and have no methods of their own, so not {method_name!r}")
-
-    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
-        return [False] * len(self._indices(indices))
-
-    def _indices(self, indices: Any) -> Sequence[int]:
-        return range(self.num_envs) if indices is None else np.arange(self.num_envs)[indices].reshape(-1).tolist()
-
-    def _observation(self) -> npt.NDArray[np.float32]:
+    def _features(self) -> Float32Array:
         return np.concatenate([self._cells.observation, self._cells.privileged()], axis=1)

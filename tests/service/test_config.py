@@ -1,9 +1,11 @@
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
-from service.config import CellConfig, ConfigError, load
+from service.config import CellConfig, ConfigError, RecipeSection, load
 from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
+from sim_backend.protocol.task import Conditions
 
 SHIPPED = Path(__file__).parents[2] / "config" / "cell.toml"
 
@@ -118,3 +120,7 @@ def test_the_schema_names_every_section() -> None:
     sections = {"cell", "limits", "preflight", "sim", "ur", "camera", "api", "client_loss", "recipes"}
     assert set(schema["properties"]) == sections
     assert schema["additionalProperties"] is False
+
+
+def test_a_recipe_may_ask_for_every_set_of_conditions_that_a_world_has() -> None:
+    assert get_args(RecipeSection.model_fields["conditions"].annotation) == get_args(Conditions)

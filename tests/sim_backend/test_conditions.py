@@ -123,6 +123,40 @@ def test_easy_conditions_are_narrower():
     assert_normal(column(easy, "grasp_offset").ravel(), 0.1e-3)
 
 
+def test_a_search_begins_within_10_mm_of_the_hole_and_is_standard_otherwise():
+    search, standard = ([draw(Task(seed, conditions=name)) for seed in range(300)] for name in ("search", "standard"))
+    hole = np.abs(column(search, "hole_position") - NOMINAL_HOLE_M).max(0)
+    assert (hole <= 0.010).all()
+    assert (hole > 0.0098).all()
+    for one, other in zip(search, standard, strict=True):
+        for field in dataclasses.fields(one):
+            if field.name != "hole_position":
+                assert np.array_equal(getattr(one, field.name), getattr(other, field.name))
+
+
+def test_a_transfer_has_the_standard_poses_on_another_plant():
+    other_plant = {"friction": 0.45, "stiffness_scale": 0.75, "sensor_delay": 4}
+    for seed in range(20):
+        there, here = draw(Task(seed, conditions="transfer")), draw(Task(seed))
+        for field in dataclasses.fields(here):
+            value, standard = getattr(there, field.name), getattr(here, field.name)
+            if field.name in other_plant:
+                assert value == other_plant[field.name]
+            elif field.name == "bias":
+                assert value == pytest.approx(2 * standard)
+            elif field.name == "wrench_noise":
+                assert value[:, :3] == pytest.approx(standard[:, :3] / 0.7, rel=1e-5)
+                assert value[:, 3:] == pytest.approx(standard[:, 3:] * 1.4, rel=1e-5)
+            else:
+                assert np.array_equal(value, standard)
+
+
+def test_a_transfers_plant_is_given_and_only_its_sensors_delay_may_be_named():
+    assert draw(Task(5, conditions="transfer", sensor_delay_ticks=2)).sensor_delay == 2
+    with pytest.raises(ValueError, match=r"task\.randomise_plant must be false under conditions 'transfer'"):
+        Task.from_json({"seed": 0, "conditions": "transfer", "randomise_plant": True})
+
+
 def test_the_same_seed_is_the_same_episode_whatever_the_part_and_the_clearance():
     one, other = draw(Task(7)), draw(Task(7, part="cir", clearance_m=1e-3))
     for field in dataclasses.fields(one):

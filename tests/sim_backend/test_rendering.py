@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -29,7 +30,7 @@ def cell() -> SimulatedCell:
     return cell
 
 
-def drawn(cell: SimulatedCell, camera: str) -> np.ndarray:
+def drawn(cell: SimulatedCell, camera: str | rendering.View) -> np.ndarray:
     try:
         renderer = rendering.Renderer(cell.part, width=320, height=180)
     except rendering.RenderingUnavailableError as error:
@@ -109,3 +110,15 @@ def test_serving_needs_no_rendering() -> None:
         cwd=ROOT, env={**os.environ, "MUJOCO_GL": "osmesa"}, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert process.returncode == 0, process.stderr
+
+
+def test_a_camera_of_ones_own_looks_where_it_is_told(cell: SimulatedCell) -> None:
+    model, data = cell.model(), cell.data()
+    mujoco.mj_kinematics(model, data)
+    peg = np.add(data.body("peg").xpos, [0.0, 0.0, 0.02])
+    near, far, elsewhere = (
+        orange(drawn(cell, rendering.View(tuple(target), distance, 180.0, -20.0)))
+        for target, distance in ((peg, 0.2), (peg, 0.6), (np.add(peg, [0.0, 0.5, 0.0]), 0.2))
+    )
+    assert near > 4 * far > 0
+    assert elsewhere == 0

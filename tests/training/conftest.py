@@ -1,26 +1,40 @@
-"""A small untrained policy as a cell would load it, for what needs one."""
+"""Small untrained policies as a cell would load them, for what needs one."""
 
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.training.play import SHORT
+from tests.training.play import REMEMBERING, SHORT
+
+
+def network(contract: Any) -> Any:
+    """An untrained network; its head is let out, so that its actions differ from zero."""
+    torch = pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
+    from training.network import ActorCritic
+
+    torch.manual_seed(0)
+    made = ActorCritic(contract, 32, 32, -0.7)
+    with torch.no_grad():
+        made.head[-1].weight *= 20.0
+    return made
 
 
 @pytest.fixture(scope="session")
 def untrained() -> Any:
-    """A stable-baselines3 model on two cells, as `training.learn` builds it."""
-    pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
-    from training.episodes import TaskSource
-    from training.learn import Recipe, build
+    """Without a memory."""
+    return network(SHORT)
 
-    return build(SHORT, TaskSource(), Recipe(cells=2, workers=1, rollout=8, batch=16, hidden=(32, 32)))
+
+@pytest.fixture(scope="session")
+def remembering() -> Any:
+    """With a recurrent unit."""
+    return network(REMEMBERING)
 
 
 @pytest.fixture(scope="session")
 def model_path(untrained: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same as an ONNX file."""
+    """The one without a memory as an ONNX file."""
     pytest.importorskip("onnx", reason="needs the extra `training`")
     from training.export import export
 

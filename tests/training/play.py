@@ -11,7 +11,9 @@ from training.insertion import Insertions, Outcome
 
 Array = npt.NDArray[np.float64]
 SHORT = design.contract_for(max_steps=30, name="untrained")
-"""The shipped policy's contract with short episodes."""
+"""A contract for all frames at once, with short episodes."""
+REMEMBERING = design.contract_for(max_steps=30, name="remembering", hidden_size=32)
+"""The same for one frame at a time."""
 
 
 def random_actions(steps: int, shape: tuple[int, ...], seed: int = 0) -> Array:

@@ -1,38 +1,55 @@
-"""`python -m training`, in this process: what it writes and what it refuses."""
+"""`dsl-assembly train` and `export`, in this process: what they write and what they refuse."""
 
-import json
+import os
+import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
-pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
+torch = pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
 
-from service.policy.model import Policy
-from training.__main__ import app
+from service.policy.model import Policy  # noqa: E402
+from training.__main__ import app  # noqa: E402
+from training.experiment import load  # noqa: E402
+from training.network import ActorCritic  # noqa: E402
 
-TINY = [
-    "--steps",
-    "16",
-    "--cells",
-    "2",
-    "--rollout",
-    "8",
-    "--batch",
-    "16",
-    "--epochs",
-    "1",
-    "--hidden",
-    "16",
-    "--threads",
-    "1",
-]
+SMALL = """
+title = "Small"
+seeds = [4, 5]
+[task]
+lock = "peck"
+clearance_mm = [1.0, 2.0]
+max_steps = 5
+[algorithm]
+width = 8
+hidden = 8
+steps = 16
+cells = 2
+workers = 1
+rollout = 8
+epochs = 1
+minibatches = 1
+[evaluation]
+every_steps = 16
+episodes = 2
+clearances_mm = [2.0]
+"""
 
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.toml").write_text(SMALL)
     return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def _signals() -> Any:
+    kept = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, kept)
 
 
 def run(*arguments: str) -> str:
@@ -41,53 +58,59 @@ def run(*arguments: str) -> str:
     return result.output
 
 
-def test_a_training_leaves_model_log_recipe_and_contract_and_its_model_becomes_a_policy_of_a_cell(here: Path) -> None:
-    run("train", "first", *TINY, "--lock", "peck", "--clearance", "1.0", "2.0")
-    directory = here / "var" / "training" / "first"
-    assert {path.name for path in directory.iterdir()} == {"final.zip", "recipe.json", "contract.json"}
-    recipe = json.loads((directory / "recipe.json").read_text())
-    assert recipe["recipe"]["steps"] == 16
-    assert recipe["tasks"]["clearance_m"] == [1e-3, 2e-3]
-    run("export", str(directory / "final.zip"), "first.onnx")
-    contract = Policy.load(here / "first.onnx").contract
-    assert (contract.name, contract.dsl.mode) == ("first", "peck")
-    assert contract.provenance["steps"] == 16
-    assert contract.provenance["recipe"] == recipe["recipe"]
-    run("train", "second", *TINY, "--lock", "peck", "--from", str(directory / "final.zip"))
-    assert json.loads((here / "var/training/second/recipe.json").read_text())["continues"] == str(
-        directory / "final.zip"
-    )
+def test_an_experiment_is_trained_for_each_of_its_seeds_and_becomes_a_policy_of_a_cell(here: Path) -> None:
+    said = run("train", "small.toml")
+    assert said.count("finished in var/training/small/seed-") == 2
+    run("export", "small", "small.onnx", "--seed", "5")
+    contract = Policy.load(here / "small.onnx").contract
+    assert (contract.name, contract.dsl.mode, contract.hidden_size) == ("small", "peck", 8)
+    account: Any = contract.provenance
+    assert account["seed"] == 5
+    assert account["experiment"]["task"]["clearance_mm"] == [1.0, 2.0]
+    assert account["steps"] in (0, 16)
+    assert account["validation"][0]["episodes"] == 2
+    assert account["sessions"][0]["versions"]["torch"]
+    run("export", "small", "last.onnx", "--seed", "5", "--last", "--name", "the-last")
+    last = Policy.load(here / "last.onnx").contract
+    assert (last.name, last.provenance["steps"]) == ("the-last", 16)
 
 
-def test_an_evaluation_prints_a_row_per_clearance_and_records_it_only_when_told(model_path: Path, here: Path) -> None:
-    path = here / "model.onnx"
-    path.write_bytes(model_path.read_bytes())
-    said = run("evaluate", str(path), "--clearance", "3", "--clearance", "2", "--episodes", "2", "--conditions", "easy")
-    rows = [line for line in said.splitlines() if line.startswith("| 3.00 |") or line.startswith("| 2.00 |")]
-    assert len(rows) == 2
-    assert path.read_bytes() == model_path.read_bytes()
-    run("evaluate", str(path), "--clearance", "3", "--episodes", "2", "--conditions", "easy", "--record")
-    (figure,) = Policy.load(path).contract.evaluation
-    assert (figure.clearance_m, figure.conditions, figure.episodes) == (3e-3, "easy", 2)
+def test_one_seed_alone_may_be_trained_and_the_same_command_goes_on(here: Path) -> None:
+    assert "0 of 16 steps" in run("train", "small.toml", "--seed", "7", "--minutes", "1e-9")
+    assert "finished" in run("train", "small.toml", "--seed", "7")
+    assert [path.name for path in (here / "var/training/small").iterdir()] == ["seed-7"]
 
 
-def test_cells_that_do_not_divide_over_the_workers_are_rounded_down_and_it_says_so(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    said = run("train", "odd", *TINY, "--cells", "5", "--workers", "2")
-    assert "5 cells do not divide evenly over 2 workers: training with 4" in said
-    assert json.loads((here / "var/training/odd/recipe.json").read_text())["recipe"]["cells"] == 4
+def test_a_request_to_end_ends_the_training_and_says_how_to_go_on(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def ask_to_end(*_: Any) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("training.ppo.update", ask_to_end)
+    result = CliRunner().invoke(app, ["train", "small.toml"])
+    assert result.exit_code == 130
+    assert "the same command goes on" in result.output
+    monkeypatch.undo()
+    monkeypatch.chdir(here)
+    assert "finished" in run("train", "small.toml")
+
+
+def test_weights_without_a_contract_become_a_policy_of_the_experiment_that_is_named(here: Path) -> None:
+    contract = load("small.toml").contract()
+    torch.save({"net": ActorCritic(contract, 8, 8, 0.0).state_dict(), "steps": 123}, here / "bare.pt")
+    result = CliRunner().invoke(app, ["export", "bare.pt", "bare.onnx"])
+    assert result.exit_code == 2
+    assert "name its --experiment" in result.output
+    run("export", "bare.pt", "bare.onnx", "--experiment", "small.toml")
+    assert Policy.load(here / "bare.onnx").contract.provenance == {"steps": 123}
 
 
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["evaluate", "missing.onnx"], "cannot read missing.onnx"),
-        (["train", "x", "--cells", "2", "--workers", "3"], "2 cells are too few for 3 workers"),
-        (["train", "x", "--lock", "bolt"], "--lock must be one of"),
-        (["train", "x", "--mode", "VM", "--lock", "paper"], "VM bypasses the lock"),
-        (["train", "x", "--clearance", "0", "2"], "clearance_m must lie in"),
+        (["train", "unheard-of"], "there is no experiment 'unheard-of'"),
+        (["train", "small.toml", "--start-from", "missing.pt"], "cannot begin with missing.pt"),
+        (["export", "small", "out.onnx"], "there is no var/training/small/seed-0/best.pt"),
+        (["export", "small.toml", "out.onnx"], "there is no"),
     ],
 )
 def test_what_cannot_be_done_is_refused_with_a_reason_and_leaves_nothing(
@@ -95,15 +118,5 @@ def test_what_cannot_be_done_is_refused_with_a_reason_and_leaves_nothing(
 ) -> None:
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 2
-    assert text in result.output
-    assert not list(here.iterdir())
-
-
-def test_a_finished_run_is_never_overwritten(here: Path) -> None:
-    done = here / "var" / "training" / "done" / "final.zip"
-    done.parent.mkdir(parents=True)
-    done.write_bytes(b"precious")
-    result = CliRunner().invoke(app, ["train", "done"])
-    assert result.exit_code == 2
-    assert "choose another name" in result.output
-    assert done.read_bytes() == b"precious"
+    assert text in result.output.replace("\n", " ")
+    assert [path.name for path in here.iterdir()] == ["small.toml"]

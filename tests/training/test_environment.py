@@ -20,7 +20,7 @@ NAME = "dsl_assembly/PegInHole-v0"
 VARIANTS: list[dict[str, Any]] = [
     {},
     {"mode": "VM"},
-    {"mode": "FTM", "conditions": "easy"},
+    {"mode": "FTM", "conditions": "search"},
     {"lock": "peck", "reward": "paper"},
     {"lock": "sliding", "part": "cir", "clearance_m": (0.5e-3, 2e-3), "randomise_plant": True},
 ]
@@ -113,6 +113,8 @@ def test_options_that_no_world_can_be_built_from_are_refused_by_name(options: di
     [
         ({"mode": "VM", "lock": "paper"}, ValueError, "VM bypasses the lock"),
         ({"mode": "FTM"}, ValueError, "nominal centre"),
+        ({"mode": "FTM", "conditions": "transfer"}, ValueError, "nominal centre"),
+        ({"randomise_plant": True, "conditions": "transfer"}, ValueError, "their plant is given"),
         ({"clearance_m": 0.0}, ValueError, "clearance_m must lie in"),
         ({"force_ceiling_n": 51.0}, ValueError, "at most 50 N"),
         ({"part": "hexagon"}, ValueError, "task.part"),

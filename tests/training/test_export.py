@@ -8,10 +8,13 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
 onnx = pytest.importorskip("onnx", reason="needs the extra `training`")
 
-from service.policy.contract import EvaluationFigure  # noqa: E402
+from service.policy.contract import EvaluationFigure, PolicyContract  # noqa: E402
 from service.policy.model import Policy, PolicyError  # noqa: E402
-from tests.training.play import SHORT  # noqa: E402
-from training.export import contract_of, export, record_evaluation  # noqa: E402
+from sim_backend.protocol.task import Task  # noqa: E402
+from tests.training.play import REMEMBERING, SHORT  # noqa: E402
+from training import design  # noqa: E402
+from training.export import export, network_of, record_evaluation, to_onnx  # noqa: E402
+from training.insertion import Insertions  # noqa: E402
 
 
 def figure(clearance_m: float, successes: int) -> EvaluationFigure:
@@ -20,18 +23,36 @@ def figure(clearance_m: float, successes: int) -> EvaluationFigure:
     )
 
 
-def test_the_file_computes_what_the_trained_model_does_on_observations_of_real_episodes(
-    untrained: Any, model_path: Path
-) -> None:
-    policy = Policy.load(model_path)
-    env = untrained.get_env()
-    seen = env.reset()
-    size = policy.contract.observation_size
+@pytest.fixture(params=[SHORT, REMEMBERING], ids=["memoryless", "recurrent"])
+def trained(request: pytest.FixtureRequest) -> tuple[Any, PolicyContract]:
+    contract = request.param
+    return request.getfixturevalue("remembering" if contract.hidden_size else "untrained"), contract
+
+
+def test_the_file_computes_what_the_network_does_through_real_episodes(trained: tuple[Any, PolicyContract]) -> None:
+    network, contract = trained
+    policy = Policy(to_onnx(network, contract))
+    cells = Insertions(contract, 2)
+    seen = cells.reset(np.arange(2), [Task(0), Task(1)])
+    remembered, hidden = policy.initial_hidden((2,)), network.initial_hidden(2)
     for _ in range(15):
-        want, _ = untrained.predict(seen, deterministic=True)
-        got, _ = policy.act(np.ascontiguousarray(seen[:, :size]))
+        with torch.no_grad():
+            perceived, hidden = network.remember(torch.from_numpy(seen), hidden)
+            want = network.act(perceived, hidden)[0].clamp(-1, 1).numpy()
+        got, remembered = policy.act(seen, remembered)
         np.testing.assert_allclose(got, want, rtol=0, atol=1e-5)
-        seen, *_ = env.step(want)
+        if remembered is not None:
+            np.testing.assert_allclose(remembered, hidden.numpy(), rtol=0, atol=1e-5)
+        seen = cells.step(got).observation
+    assert np.abs(got).max() > 1e-3
+
+
+def test_a_recurrent_policy_acts_by_what_it_has_seen_before(remembering: Any) -> None:
+    policy = Policy(to_onnx(remembering, REMEMBERING))
+    now = np.zeros(REMEMBERING.observation_size, np.float32)
+    _, after_contact = policy.act(now + 1.0, policy.initial_hidden())
+    _, after_nothing = policy.act(now, policy.initial_hidden())
+    assert not np.array_equal(policy.act(now, after_contact)[0], policy.act(now, after_nothing)[0])
 
 
 def test_normalisation_is_in_the_graph_so_that_far_outliers_change_nothing(model_path: Path) -> None:
@@ -43,15 +64,32 @@ def test_normalisation_is_in_the_graph_so_that_far_outliers_change_nothing(model
     assert not np.array_equal(policy.act(far)[0], policy.act(-far)[0])
 
 
-def test_the_file_carries_the_contract_it_was_trained_under(untrained: Any, model_path: Path) -> None:
-    assert Policy.load(model_path).contract == contract_of(untrained) == SHORT
+def test_the_file_carries_the_contract_it_was_trained_under(trained: tuple[Any, PolicyContract]) -> None:
+    assert Policy(to_onnx(*trained)).contract == trained[1]
 
 
-def test_a_model_keeps_its_contract_when_it_is_saved_and_loaded(untrained: Any, tmp_path: Path) -> None:
-    from stable_baselines3 import PPO
+def test_weights_make_the_network_again_that_they_were_taken_from(trained: tuple[Any, PolicyContract]) -> None:
+    network, contract = trained
+    again = network_of(contract, network.state_dict())
+    assert to_onnx(again, contract) == to_onnx(network, contract)
 
-    untrained.save(tmp_path / "model.zip")
-    assert contract_of(PPO.load(tmp_path / "model.zip", device="cpu")) == contract_of(untrained)
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        design.contract_for("VM", hidden_size=32),
+        design.contract_for("VFTM", "peck", hidden_size=32),
+        design.contract_for(hidden_size=16),
+        design.contract_for(),
+        REMEMBERING.model_copy(
+            update={"observation": tuple(e.model_copy(update={"scale": 7.0}) for e in REMEMBERING.observation)}
+        ),
+    ],
+    ids=["other observation", "other action", "other memory", "no memory", "other scales"],
+)
+def test_weights_of_another_contract_are_refused(remembering: Any, other: PolicyContract) -> None:
+    with pytest.raises(ValueError, match=f"contract '{other.name}'"):
+        network_of(other, remembering.state_dict())
 
 
 def test_a_graph_that_differs_from_the_network_is_not_written(
@@ -60,7 +98,7 @@ def test_a_graph_that_differs_from_the_network_is_not_written(
     monkeypatch.setattr("training.export.AGREEMENT", -1.0)
     with pytest.raises(ValueError, match="differs from the network"):
         export(untrained, SHORT, tmp_path / "model.onnx")
-    assert not (tmp_path / "model.onnx").exists()
+    assert not list(tmp_path.iterdir())
 
 
 def test_figures_are_recorded_in_the_contract_and_the_network_stays(model_path: Path, tmp_path: Path) -> None:
@@ -87,7 +125,7 @@ def test_recording_into_something_else_changes_nothing(tmp_path: Path) -> None:
     assert path.read_bytes() == b"not a model"
 
 
-def test_exporting_warns_of_nothing(untrained: Any, tmp_path: Path) -> None:
+def test_exporting_warns_of_nothing(trained: tuple[Any, PolicyContract]) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        export(untrained, SHORT, tmp_path / "model.onnx")
+        to_onnx(*trained)

@@ -1,62 +1,207 @@
-"""Training that really learns, in little time: without a lock the policy itself must find out to go down."""
+"""A training: that it really learns, goes on where it ended, and repeats itself."""
 
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
+torch = pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
 
-from stable_baselines3 import PPO
+from service.policy.model import Policy  # noqa: E402
+from training import ppo  # noqa: E402
+from training.evaluate import evaluate  # noqa: E402
+from training.experiment import Experiment, ExperimentError  # noqa: E402
+from training.export import to_onnx  # noqa: E402
+from training.learn import TrainingError, learn, untrained  # noqa: E402
+from training.run import CheckpointError, Run, read  # noqa: E402
 
-from training import design
-from training.episodes import TaskSource
-from training.evaluate import evaluate
-from training.export import export
-from training.learn import Recipe, build, learn
-
-CONTRACT = design.contract_for(lock="off", max_steps=40)
-TASKS = TaskSource("tr", (3e-3, 3e-3), "easy", randomise_plant=False)
-RECIPE = Recipe(
-    steps=15_000,
-    cells=64,
-    workers=2,
-    rollout=40,
-    batch=640,
-    epochs=10,
-    hidden=(64, 64),
-    learning_rate=1e-3,
-    entropy=0.0,
-    threads=1,
-    torch_threads=1,
-)
+EASY = {"clearance_mm": [3.0, 3.0], "lock": "off", "conditions": "easy", "randomise_plant": False, "max_steps": 80}
+"""Without a lock the policy itself must find out to go down."""
 
 
-def returns(model: PPO, path: Path) -> np.ndarray:
-    """Of 40 fresh episodes, by the deterministic exported policy."""
-    report = evaluate(export(model, CONTRACT, path), 3e-3, 40, conditions="easy", cells=40, threads=1)
-    return np.array([episode.episode_return for episode in report.episodes])
+def experiment(name: str = "mine", **sections: Any) -> Experiment:
+    small = {
+        "name": name,
+        "title": "Small",
+        "task": EASY | {"max_steps": 5},
+        "algorithm": {
+            "width": 8,
+            "hidden": 8,
+            "steps": 64,
+            "cells": 4,
+            "workers": 1,
+            "rollout": 8,
+            "epochs": 1,
+            "minibatches": 1,
+        },
+        "evaluation": {"every_steps": 32, "episodes": 2, "clearances_mm": [3.0]},
+    }
+    return Experiment.model_validate(
+        small | {key: small[key] | value if isinstance(value, dict) else value for key, value in sections.items()}
+    )
 
 
-@pytest.mark.timeout(400)
-def test_a_short_training_earns_clearly_more_on_seeds_it_has_never_seen(tmp_path: Path) -> None:
-    untrained = build(CONTRACT, TASKS, RECIPE)
-    before = returns(untrained, tmp_path / "untrained.onnx")
-    environment = untrained.get_env()
-    assert environment is not None
-    environment.close()
-    trained = learn(CONTRACT, TASKS, RECIPE, tmp_path)
-    gain = returns(trained, tmp_path / "trained.onnx") - before
-    assert gain.mean() > 0.3
-    assert gain.mean() > 5 * gain.std() / np.sqrt(len(gain))
-    assert "success" in (tmp_path / "log.txt").read_text()
-    assert PPO.load(tmp_path / "final.zip", device="cpu").num_timesteps >= RECIPE.steps
+def same(one: Any, other: Any) -> bool:
+    return all(torch.equal(a, b) for a, b in zip(one.state_dict().values(), other.state_dict().values(), strict=True))
 
 
-def test_a_training_may_go_on_from_an_earlier_one_and_end_by_the_clock(tmp_path: Path) -> None:
-    tiny = Recipe(steps=10**9, cells=2, workers=1, rollout=4, batch=8, epochs=1, hidden=(8,), threads=1)
-    first = learn(CONTRACT, TASKS, tiny, tmp_path / "first", deadline_s=0.0)
-    assert first.num_timesteps < 100
-    second = learn(CONTRACT, TASKS, tiny, tmp_path / "second", tmp_path / "first" / "final.zip", deadline_s=0.0)
-    for old, new in zip(first.policy.parameters(), second.policy.parameters(), strict=True):
-        assert np.array_equal(old.detach().numpy(), new.detach().numpy())
+@pytest.mark.timeout(600)
+def test_a_short_training_inserts_on_seeds_it_has_never_seen_what_an_untrained_policy_does_not(tmp_path: Path) -> None:
+    asked = experiment(
+        task=EASY,
+        algorithm={
+            "width": 64,
+            "hidden": 64,
+            "steps": 20_000,
+            "cells": 48,
+            "workers": 2,
+            "rollout": 16,
+            "learning_rate": 3e-3,
+            "epochs": 8,
+            "minibatches": 2,
+            "gamma": 0.95,
+            "gae_lambda": 0.8,
+            "entropy": 0.0,
+        },
+        evaluation={"every_steps": 20_000, "episodes": 20},
+    )
+
+    def judged(network: Any) -> tuple[float, float]:
+        policy = Policy(to_onnx(network, asked.contract()))
+        episodes = evaluate(policy, 3e-3, 60, conditions="easy", cells=60, threads=1).episodes
+        return float(np.mean([e.success for e in episodes])), float(np.mean([e.episode_return for e in episodes]))
+
+    success, earned = judged(learn(Run(asked, 0, tmp_path)))
+    success_before, earned_before = judged(untrained(asked, 0))
+    assert success_before < 0.05
+    assert success > 0.2
+    assert earned > earned_before + 2.5
+
+
+def test_a_training_leaves_its_account_its_progress_and_its_best_model(tmp_path: Path) -> None:
+    asked = experiment(
+        task={"parts": ["tr", "cir"]}, algorithm={"workers": 2}, evaluation={"clearances_mm": [3.0, 2.0]}
+    )
+    network = learn(Run(asked, 3, tmp_path))
+    account = json.loads((tmp_path / "run.json").read_text())
+    assert Experiment.model_validate(account["experiment"]) == asked
+    assert account["seed"] == 3
+    (session,) = account["sessions"]
+    assert session["steps"] == 0
+    assert {"began", "commit", "machine", "versions"} <= session.keys()
+    records = Run(asked, 3, tmp_path).records()
+    rollouts, evaluations = ([r for r in records if r["kind"] == kind] for kind in ("rollout", "evaluation"))
+    assert [r["steps"] for r in rollouts] == [32, 64]
+    assert rollouts[-1]["episodes"] > 0
+    assert [(r["steps"], r["part"], r["clearance_m"]) for r in evaluations] == [
+        (steps, part, clearance) for steps in (0, 32, 64) for part in ("tr", "cir") for clearance in (3e-3, 2e-3)
+    ]
+    assert {r["episodes"] for r in evaluations} == {2}
+    assert list((tmp_path / "tensorboard").iterdir())
+    latest, best = read(tmp_path / "checkpoint.pt"), read(tmp_path / "best.pt")
+    assert latest["steps"] == 64
+    assert torch.equal(latest["net"]["log_std"], network.log_std)
+    returns = {steps: np.mean([r["return_mean"] for r in evaluations if r["steps"] == steps]) for steps in (0, 32, 64)}
+    assert best["steps"] == max(returns, key=lambda steps: returns[steps])  # success is 0 throughout
+
+
+def test_the_same_seed_trains_the_same_network_and_another_another(tmp_path: Path) -> None:
+    asked = experiment(evaluation={"every_steps": 1000})
+    first, again, other = (learn(Run(asked, seed, tmp_path / name)) for seed, name in ((0, "a"), (0, "b"), (1, "c")))
+    assert same(first, again)
+    assert not same(first, other)
+
+
+def test_a_training_goes_on_from_where_it_ended_and_counts_on(tmp_path: Path) -> None:
+    half = learn(Run(experiment(algorithm={"steps": 32}), 0, tmp_path))
+    with (tmp_path / "progress.jsonl").open("a") as progress:
+        progress.write('{"kind": "rollout", "steps": 64}\n{"kind": "roll')  # killed there
+    run = Run(experiment(), 0, tmp_path)
+    went_on = learn(run)
+    assert not same(half, went_on)
+    assert run.steps == 64
+    assert [r["steps"] for r in run.records()] == [0, 32, 32, 64, 64]
+    assert [s["steps"] for s in json.loads((tmp_path / "run.json").read_text())["sessions"]] == [0, 32]
+    assert read(run.checkpoint)["optimiser"]["state"][0]["step"] == 2
+    assert [r["elapsed_s"] for r in run.records()] == sorted(r["elapsed_s"] for r in run.records())
+
+
+def test_a_session_that_is_out_of_time_leaves_the_rest_to_the_next(tmp_path: Path) -> None:
+    run = Run(experiment(), 0, tmp_path)
+    learn(run, deadline_s=1e-9)
+    assert run.steps == 0
+    learn(run)
+    assert run.steps == 64
+
+
+def test_a_finished_training_stays_as_it_is(tmp_path: Path) -> None:
+    run = Run(experiment(algorithm={"steps": 32}), 0, tmp_path)
+    learn(run)
+    before = (run.best.read_bytes(), run.checkpoint.read_bytes(), run.records())
+    learn(run)
+    assert before == (run.best.read_bytes(), run.checkpoint.read_bytes(), run.records())
+
+
+def test_another_experiment_does_not_go_on_in_the_same_folder(tmp_path: Path) -> None:
+    learn(Run(experiment(algorithm={"steps": 32}), 0, tmp_path))
+    progress = (tmp_path / "progress.jsonl").read_text()
+    with pytest.raises(ExperimentError, match=r"other settings \(algorithm\.gamma, task\.reward\)"):
+        learn(Run(experiment(algorithm={"gamma": 0.9}, task={"reward": "paper"}), 0, tmp_path))
+    assert (tmp_path / "progress.jsonl").read_text() == progress
+
+
+def test_a_training_that_diverges_says_so_and_keeps_the_weights_from_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = Run(experiment(), 0, tmp_path)
+    learned = ppo.update
+
+    def diverging(network: Any, optimiser: Any, rollout: Any, algorithm: Any) -> ppo.Losses:
+        losses = learned(network, optimiser, rollout, algorithm)
+        if run.steps:
+            with torch.no_grad():
+                network.log_std.fill_(float("nan"))
+            return learned(network, optimiser, rollout, algorithm)
+        return losses
+
+    monkeypatch.setattr(ppo, "update", diverging)
+    with pytest.raises(TrainingError, match="diverged at 32 steps"):
+        learn(run)
+    assert run.steps == 32
+    assert read(run.checkpoint)["net"]["log_std"].isfinite().all()
+
+
+def test_a_training_may_begin_with_the_weights_of_another_and_explores_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    learn(Run(experiment("first", algorithm={"steps": 32}), 0))
+    best = read(tmp_path / "var/training/first/seed-0/best.pt")["net"]
+    bold = {"initial_log_std": -0.1}
+    follower = experiment("second", start_from="first", algorithm=bold)
+    other, start = experiment("third", algorithm=bold), Path("var/training/first/seed-0/best.pt")
+    for network in (
+        learn(Run(follower, 0), deadline_s=1e-9),
+        learn(Run(other, 0), start, deadline_s=1e-9),
+    ):
+        weights = network.state_dict()
+        torch.testing.assert_close(weights.pop("log_std"), torch.full((4,), -0.1))
+        assert all(torch.equal(best[name], value) for name, value in weights.items())
+
+
+@pytest.mark.parametrize("change", [{"task": {"lock": "peck"}}, {"algorithm": {"memory": "none"}}])
+def test_weights_that_do_not_fit_are_refused_and_nothing_is_left(change: dict[str, Any], tmp_path: Path) -> None:
+    learn(Run(experiment(algorithm={"steps": 32}), 0, tmp_path / "first"))
+    with pytest.raises(CheckpointError, match=r"cannot begin with .*best\.pt"):
+        learn(Run(experiment("second", **change), 0, tmp_path / "second"), tmp_path / "first/best.pt")
+    assert not (tmp_path / "second").exists()
+
+
+def test_weights_that_are_none_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "notes.pt").write_text("not weights")
+    torch.save({"weights": 1}, tmp_path / "other.pt")
+    for name, text in (("missing.pt", "there is no"), ("notes.pt", "cannot read"), ("other.pt", "holds no network")):
+        with pytest.raises(CheckpointError, match=text):
+            read(tmp_path / name)

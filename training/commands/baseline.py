@@ -1,0 +1,40 @@
+"""`baseline`: write the policies that nobody trained, which learned ones are compared with."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.policy.model import Policy
+
+EXIT_USAGE = 2
+
+
+class Baseline(StrEnum):
+    """What can be written."""
+
+    SEARCH = "search"
+    SEARCH_FTM = "search-ftm"
+    STILL = "still"
+
+
+def baseline(
+    which: Annotated[Baseline, typer.Argument(help="Scripted search about the estimate or the nominal centre; still.")],
+    out: Annotated[Path, typer.Argument(help="ONNX file to write.")],
+) -> None:
+    """Write a scripted policy: spiral and yaw sweep, or one that asks for nothing."""
+    try:
+        from training import baseline as scripts
+    except ImportError as error:
+        typer.echo(f"training: baselines need the extra `training` ({error}): make setup-training", err=True)
+        raise typer.Exit(EXIT_USAGE) from error
+    data = {
+        Baseline.SEARCH: scripts.scripted_search,
+        Baseline.SEARCH_FTM: lambda: scripts.scripted_search("FTM"),
+        Baseline.STILL: scripts.still,
+    }[which]()
+    policy = Policy(data, source=str(out))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_bytes(data)
+    typer.echo(f"wrote {out}: {policy.contract.name}, {len(data)} bytes, SHA-256 {policy.sha256}")

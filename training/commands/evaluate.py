@@ -1,0 +1,209 @@
+"""`evaluate`: measure a policy, episode by episode, and keep what was measured in `results/NAME.json`."""
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, NoReturn, cast, get_args
+
+import typer
+
+from service.policy.model import Policy, PolicyError
+from service.safety import dsl
+from sim_backend.protocol.task import Conditions, Part, Task
+from training import evaluate as evaluation
+from training import paper, provenance, through_service
+from training.results import HEADER, RESULTS, Block, EpisodeResult, Results, ResultsError, Session, Setting, Through
+from training.reward import RewardName
+
+EXIT_USAGE = 2
+DEFAULT_CLEARANCES_MM = (2.0, 1.33, 0.33)
+
+
+def evaluate(
+    model: Annotated[Path, typer.Argument(help="ONNX file of the policy.")],
+    plan: Annotated[list[paper.Plan] | None, typer.Option(help="Cells of a table; may be repeated.")] = None,
+    clearance: Annotated[list[float] | None, typer.Option(help="Per face, mm; may be repeated.")] = None,
+    part: Annotated[Part | None, typer.Option(help="With --clearance; default: the policy's first.")] = None,
+    conditions: Annotated[
+        Conditions | None, typer.Option(help="Of an episode; default: the plan's, `search` for FTM, else `standard`.")
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Per cell; those that are there already are kept.")] = 500,
+    through: Annotated[
+        Through, typer.Option(help="The batched environment, or the deployed service with a simulated or a UR arm.")
+    ] = "environment",
+    lock: Annotated[str, typer.Option(help="Run under another lock than the policy's: paper, sliding or off.")] = "",
+    reward: Annotated[RewardName, typer.Option(help="That returns are sums of.")] = "paper",
+    force_ceiling: Annotated[float, typer.Option(help="N; an episode ends there.")] = 30.0,
+    first_seed: Annotated[int, typer.Option(min=0, help="Seeds count up from here.")] = evaluation.FIRST_TEST_SEED,
+    workers: Annotated[int, typer.Option(min=0, help="Processes; 0: one per core. The service runs alone.")] = 0,
+    name: Annotated[str, typer.Option(help="Of the results; default: the file's.")] = "",
+    results: Annotated[Path, typer.Option(help="Folder of the results.")] = RESULTS,
+    anew: Annotated[
+        bool, typer.Option("--anew", help="Drop what was measured of an earlier file of this name.")
+    ] = False,
+    record: Annotated[bool, typer.Option("--record", help="Write the figures into the model's contract.")] = False,
+) -> None:
+    """Play fresh seeds with the deterministic policy; print successes, steps and peak forces.
+
+    Every episode is kept as it ends: the same command again plays only what is missing.
+    """
+    workers = (workers or len(os.sched_getaffinity(0))) if through == "environment" else 1
+    if lock and through != "environment":
+        _fail("the service runs a policy under its own lock: --lock goes with --through environment")
+    if lock and lock not in get_args(dsl.Mode):
+        _fail(f"--lock must be one of {', '.join(get_args(dsl.Mode))}, not {lock!r}")
+    try:
+        policy = Policy.load(model)
+        settings = _settings(
+            policy,
+            plan or [],
+            clearance or [],
+            part,
+            conditions,
+            lock=lock or policy.contract.dsl.mode,
+            through=through,
+            reward=reward,
+            force_ceiling_n=force_ceiling,
+            first_seed=first_seed,
+        )
+        path = results / f"{name or model.stem}.json"
+        known = _known(policy, path, anew)
+    except (PolicyError, ResultsError, ValueError) as error:
+        _fail(str(error))
+    keep = _Keeper(known, path, workers)
+    wanted = [known.block(setting) for setting in settings]
+    missing = sum(len(block.missing(episodes)) for block in wanted)
+    with typer.progressbar(length=missing, label=path.stem) as bar:
+        keep.on_kept = bar.update
+        try:
+            _play(model, policy, wanted, episodes, workers, keep)
+        except through_service.ServiceError as error:
+            _fail(str(error))
+    blocks = [keep.results.block(setting).first(episodes) for setting in settings]
+    typer.echo("\n".join([HEADER, *(block.line() for block in blocks)]))
+    for episode in (e for block in blocks for e in block.episodes if e.claimed not in (None, e.success)):
+        told = "succeeded" if episode.claimed else f"ended by {episode.code}"
+        where = "in the hole" if episode.success else "not in the hole"
+        typer.echo(f"seed {episode.seed}: the service says that it {told}, in truth the peg is {where}")
+    typer.echo(f"kept in {path}")
+    if record:
+        _record(model, keep.results, path, blocks)
+
+
+class _Keeper:
+    """Takes episodes as they end and keeps them in the file at once."""
+
+    def __init__(self, results: Results, path: Path, workers: int) -> None:
+        self.results = results
+        self.on_kept: Callable[[int], object] = lambda _: None
+        self._path = path
+        self._workers = workers
+        self._commit = provenance.commit()
+        self._before = results
+        self._last = time.monotonic()
+
+    def __call__(self, setting: Setting, episodes: Sequence[EpisodeResult]) -> None:
+        now = time.monotonic()
+        block = self.results.block(setting)
+        earlier = self._before.block(setting).sessions
+        mine = block.sessions[len(earlier) :]
+        session = Session(
+            ended=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+            commit=self._commit,
+            machine=provenance.machine(),
+            versions=provenance.versions(),
+            workers=self._workers,
+            episodes=len(episodes) + sum(s.episodes for s in mine),
+            wall_s=round(now - self._last + sum(s.wall_s for s in mine), 1),
+        )
+        self._last = now
+        block = block.with_episodes(episodes).model_copy(update={"sessions": (*earlier, session)})
+        self.results = self.results.with_block(block)
+        self.results.save(self._path)
+        self.on_kept(len(episodes))
+
+
+def _settings(
+    policy: Policy,
+    plans: Sequence[paper.Plan],
+    clearances: Sequence[float],
+    part: Part | None,
+    conditions: Conditions | None,
+    **rest: Any,
+) -> list[Setting]:
+    """What to measure, each once. Raises ValueError for what no world can be built from."""
+    contract = policy.contract
+    own = cast(Part, contract.parts[0])
+    cells: list[tuple[Part, float, Conditions]] = []
+    for plan in plans:
+        cells += paper.cells_of(plan, contract.mode)
+    if not plans or clearances:
+        drawn = paper.conditions_for(contract.mode)
+        for level in clearances or DEFAULT_CLEARANCES_MM:
+            cells.append((part or own, paper.metres(level), drawn))
+    settings = [
+        Setting(part=shape, clearance_m=clearance, conditions=conditions or drawn, **rest)
+        for shape, clearance, drawn in cells
+    ]
+    for setting in settings:
+        Task(setting.first_seed, setting.part, setting.clearance_m, setting.conditions).check()
+        evaluation.with_lock(contract, setting)
+    return list(dict.fromkeys(settings))
+
+
+def _known(policy: Policy, path: Path, anew: bool) -> Results:
+    """What the file holds of this policy, or nothing yet."""
+    contract = policy.contract
+    fresh = Results(
+        policy=contract.name,
+        sha256=policy.sha256,
+        mode=contract.mode,
+        lock=contract.dsl.mode,
+        period_s=contract.period_s,
+        max_steps=contract.max_steps,
+        stiffness=contract.compliance.stiffness,
+        provenance=contract.provenance,
+    )
+    if anew or not path.exists():
+        return fresh
+    known = Results.load(path)
+    if known.sha256 != policy.sha256:
+        raise ResultsError(
+            f"{path} holds results of another file (SHA-256 {known.sha256[:12]}…, this one is {policy.sha256[:12]}…): "
+            "choose another --name, or drop them with --anew"
+        )
+    return known
+
+
+def _play(model: Path, policy: Policy, blocks: Sequence[Block], episodes: int, workers: int, keep: _Keeper) -> None:
+    by_service = [block for block in blocks if block.setting.through != "environment"]
+    jobs = [
+        job
+        for block in blocks
+        if block not in by_service
+        for job in evaluation.jobs_of(model, policy.sha256, block, episodes)
+    ]
+    for setting, played in evaluation.measure(jobs, workers):
+        keep(setting, played)
+    for block in by_service:
+        seeds = block.missing(episodes)
+        if seeds:
+            through_service.play(model, seeds, block.setting, on_episode=lambda e, s=block.setting: keep(s, [e.result]))
+
+
+def _record(model: Path, results: Results, path: Path, blocks: Sequence[Block]) -> None:
+    """Write figures into the model's contract; its file is another one then, and the results go with it."""
+    try:
+        from training.export import record_evaluation
+    except ImportError as error:
+        _fail(f"recording needs the extra `training` ({error}): make setup-training")
+    policy = record_evaluation(model, [block.figure() for block in blocks])
+    results.model_copy(update={"sha256": policy.sha256}).save(path)
+    typer.echo(f"recorded in {model}, whose SHA-256 is now {policy.sha256}")
+
+
+def _fail(text: str) -> NoReturn:
+    typer.echo(f"evaluate: {text}", err=True)
+    raise typer.Exit(EXIT_USAGE)

@@ -1,0 +1,47 @@
+"""`export`: from a training to the file that a cell loads."""
+
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from training.experiment import ExperimentError, load
+
+EXIT_USAGE = 2
+
+
+def export(
+    model: Annotated[str, typer.Argument(help="Name of a trained experiment, or weights that end in .pt.")],
+    out: Annotated[Path, typer.Argument(help="ONNX file to write.")],
+    seed: Annotated[int, typer.Option(min=0, help="Of the training.")] = 0,
+    last: Annotated[bool, typer.Option("--last", help="The latest weights, not those that did best.")] = False,
+    experiment: Annotated[str, typer.Option(help="Whose contract weights have that bring none with them.")] = "",
+    name: Annotated[str, typer.Option(help="Of the policy; default: the experiment's.")] = "",
+) -> None:
+    """Write a trained policy: network, normalisation and contract in one file."""
+    try:
+        from training.export import export as write
+        from training.export import network_of
+        from training.run import CheckpointError, account_beside, contract_in, directory_of, read
+    except ImportError as error:
+        _fail(f"exporting needs the extra `training` ({error}): make setup-training")
+    path = (
+        Path(model) if model.endswith(".pt") else directory_of(model, seed) / ("checkpoint.pt" if last else "best.pt")
+    )
+    try:
+        weights = read(path)
+        contract = contract_in(weights) or (load(experiment).contract() if experiment else None)
+        if contract is None:
+            _fail(f"{path} does not say what it was trained for: name its --experiment")
+        provenance: dict[str, Any] = {"steps": weights["steps"]} | account_beside(path)
+        provenance |= {key: weights[key] for key in ("elapsed_s", "validation") if key in weights}
+        contract = contract.model_copy(update={"name": name or contract.name, "provenance": provenance})
+        policy = write(network_of(contract, weights["net"]), contract, out)
+    except (CheckpointError, ExperimentError, ValueError) as error:
+        _fail(str(error))
+    typer.echo(f"wrote {out}: {policy.contract.name}, {out.stat().st_size} bytes, SHA-256 {policy.sha256}")
+
+
+def _fail(text: str) -> NoReturn:
+    typer.echo(f"training: {text}", err=True)
+    raise typer.Exit(EXIT_USAGE)

@@ -1,0 +1,61 @@
+"""`gallery`: draw a policy's insertion of every part that it is for."""
+
+from pathlib import Path
+from typing import Annotated, NoReturn, cast
+
+import typer
+
+from service.policy.model import Policy, PolicyError
+from sim_backend.protocol.task import Conditions, Part, Task
+from sim_backend.rendering import RenderingUnavailableError
+
+EXIT_USAGE, EXIT_UNAVAILABLE = 2, 3
+GALLERY = Path("docs/gallery")
+
+
+def gallery(
+    model: Annotated[Path, typer.Argument(help="ONNX file of the policy.")],
+    part: Annotated[list[str] | None, typer.Option(help="May be repeated; default: all that it is for.")] = None,
+    clearance: Annotated[float, typer.Option(help="Per face, mm.")] = 1.33,
+    conditions: Annotated[
+        Conditions | None, typer.Option(help="Of an episode; default: `search` for FTM, else `standard`.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, max=500, help="Tried for an insertion to show.")] = 20,
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = GALLERY,
+) -> None:
+    """Draw the first test seed that succeeds: PART.gif, PART.png, and a page that shows them all."""
+    try:
+        from training import gallery as drawing
+    except ImportError as error:
+        _fail(f"the gallery needs the extra `training` ({error}): make setup-training", EXIT_USAGE)
+    try:
+        policy = Policy.load(model)
+        drawn = conditions or ("search" if policy.contract.mode == "FTM" else "standard")
+        parts: list[Part] = [cast(Part, name) for name in part or policy.contract.parts]
+        for name in parts:
+            Task(0, name, 1e-3 * clearance, drawn).check()
+    except (PolicyError, ValueError) as error:
+        _fail(str(error), EXIT_USAGE)
+    out.mkdir(parents=True, exist_ok=True)
+    films: list[drawing.Film] = []
+    try:
+        with typer.progressbar(parts, label="drawing") as bar:
+            for name in bar:
+                task = drawing.first_success(policy, name, 1e-3 * clearance, drawn, seeds)
+                if task is None:
+                    typer.echo(f"\n{name}: none of {seeds} seeds succeeds, nothing is drawn", err=True)
+                    continue
+                films.append(drawing.film(policy, task))
+                drawing.write_animation(out / f"{name}.gif", films[-1])
+                drawing.write_strip(out / f"{name}.png", films[-1])
+    except RenderingUnavailableError as error:
+        _fail(str(error), EXIT_UNAVAILABLE)
+    if not films:
+        _fail("there is nothing to show", EXIT_USAGE)
+    (out / "README.md").write_text(drawing.page(films))
+    typer.echo(f"wrote {len(films)} insertions to {out}")
+
+
+def _fail(text: str, code: int) -> NoReturn:
+    typer.echo(f"gallery: {text}", err=True)
+    raise typer.Exit(code)

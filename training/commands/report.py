@@ -1,0 +1,37 @@
+"""`report`: what was measured, beside the paper, as one HTML page and as Markdown."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from training.results import RESULTS, ResultsError
+
+EXIT_USAGE = 2
+
+
+def report(
+    results: Annotated[Path, typer.Option(help="Folder of the results.")] = RESULTS,
+    runs: Annotated[Path, typer.Option(help="Folder of trainings, whose learning curves are kept beside them.")] = Path(
+        "var/training"
+    ),
+    out: Annotated[Path, typer.Option(help="Folder for results.html, results.md and pictures/results/.")] = Path(
+        "docs"
+    ),
+) -> None:
+    """Write the report of everything in the folder of results; nothing is run."""
+    try:
+        from training.report import curves, writing
+        from training.report.measured import Measured
+    except ImportError as error:
+        typer.echo(f"report: it needs the extra `training` ({error}): make setup-training", err=True)
+        raise typer.Exit(EXIT_USAGE) from error
+    try:
+        kept = curves.collect(runs, results)
+        measured = Measured.read(results)
+        files = writing.write(writing.document(measured), out)
+    except ResultsError as error:
+        typer.echo(f"report: {error}", err=True)
+        raise typer.Exit(EXIT_USAGE) from error
+    typer.echo(f"{len(measured.results)} policies, {len(measured.curves)} trainings ({kept} of them new or newer)")
+    typer.echo(f"wrote {files[0]}, {files[1]} and {len(files) - 2} pictures")

@@ -1,0 +1,224 @@
+"""What is compared with the paper: its tables, the levels of our own, and which results and runs stand in each row.
+
+The figures themselves are in `paper.toml`; this is their shape.
+"""
+
+import tomllib
+from enum import StrEnum
+from functools import cache
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.policy.observation import Mode
+from service.safety import dsl
+from sim_backend.protocol.task import Conditions, Part
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Millimetres = Annotated[float, Field(gt=0)]
+
+
+class Plan(StrEnum):
+    """What one table needs of a policy."""
+
+    STRENGTH = "strength"
+    TABLE_1 = "table-1"
+    TABLE_2 = "table-2"
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Printed(Section):
+    """One pair of columns of Table I."""
+
+    reward: float
+    reward_variance: float
+    success: Share
+    success_variance: float
+
+
+class Gap(Section):
+    """A gap of Table I by the paper's name, and the clearances that it may stand for: real part, simulated scene."""
+
+    name: str
+    clearance_mm: tuple[Millimetres, Millimetres]
+
+
+class Row(Section):
+    """A row of Table I.
+
+    Attributes:
+        name: the paper's.
+        reproduced: name of our runs of it, one policy per clearance, without the clearance.
+        ours: name of our one policy for every clearance.
+        printed: per gap, as far as the paper has it.
+        note: what the reader must know of the printed figures.
+    """
+
+    name: str
+    reproduced: str
+    ours: str
+    printed: tuple[Printed, ...]
+    note: str = ""
+
+    def reproduction(self, clearance_mm: float) -> str:
+        """Name of the experiment that reproduces this row at a clearance."""
+        return f"{self.reproduced}-c{round(clearance_mm * 100):03d}"
+
+
+class Table1(Section):
+    gaps: tuple[Gap, ...]
+    rows: tuple[Row, ...]
+
+
+class Cell(Section):
+    """A cell of Table II.
+
+    Attributes:
+        part: peg and hole.
+        clearance_mm: at which our part has the proportion.
+        proportion: hole area minus peg area over hole area.
+        printed: success in the table.
+        text: success in the running text, where it differs.
+        count: successes and tests that give a printed figure.
+        note: on the contradiction.
+    """
+
+    part: Part
+    clearance_mm: Millimetres
+    proportion: Share
+    printed: Share
+    text: Share | None = None
+    count: tuple[int, int]
+    note: str = ""
+
+    @property
+    def larger(self) -> float:
+        """The larger of what table and text say: what has to be beaten."""
+        return self.printed if self.text is None else max(self.printed, self.text)
+
+
+class Table2(Section):
+    """Table II.
+
+    Attributes:
+        results: name of our policy that was trained on the triangle alone, as the paper's.
+        beside: names of others.
+        conditions: of the transfer.
+        cells: in the paper's order.
+    """
+
+    results: str
+    beside: tuple[str, ...]
+    conditions: Conditions
+    cells: tuple[Cell, ...]
+
+
+class Level(Section):
+    """A clearance with our target of success, and the paper's success where it has one."""
+
+    clearance_mm: Millimetres
+    target: Share
+    paper: Share | None = None
+
+
+class FtmTarget(Section):
+    results: str
+    clearance_mm: Millimetres
+    target: Share
+
+
+class Strength(Section):
+    """Our own levels.
+
+    Attributes:
+        results: name of the policy that they are set for.
+        beside: names of others.
+        ftm: what the policy without a camera is to reach.
+        peak_force_p99_n: largest 99th percentile of the peak force wanted.
+        levels: in falling order of clearance.
+    """
+
+    results: str
+    beside: tuple[str, ...]
+    ftm: FtmTarget
+    peak_force_p99_n: float
+    levels: tuple[Level, ...]
+
+
+class Locked(Section):
+    """A policy under a lock: its own, unless another one is named."""
+
+    name: str
+    results: str
+    lock: dsl.Mode | None = None
+
+
+class Force(Section):
+    """What is compared in force; every row with the first."""
+
+    rows: tuple[Locked, ...]
+    clearance_mm: tuple[Millimetres, ...]
+
+
+class CurveRun(Section):
+    name: str
+    experiment: str
+
+
+class Curves(Section):
+    """A figure of learning curves.
+
+    Attributes:
+        title: above it.
+        name: of its file.
+        by_clearance: one curve per clearance of its evaluations; else a run has one, of all of them.
+        runs: their seeds are shown thin, the mean of them thick.
+    """
+
+    title: str
+    name: str
+    by_clearance: bool = False
+    runs: tuple[CurveRun, ...]
+
+
+class Comparison(Section):
+    """All of `paper.toml`."""
+
+    table_1: Table1
+    table_2: Table2
+    strength: Strength
+    force: Force
+    curves: tuple[Curves, ...]
+
+
+@cache
+def comparison() -> Comparison:
+    """Read `paper.toml`."""
+    return Comparison.model_validate(tomllib.loads(Path(__file__).with_name("paper.toml").read_text()))
+
+
+def metres(millimetres: float) -> float:
+    """A clearance in m, the same number wherever it comes from."""
+    return round(millimetres * 1e-3, 9)
+
+
+def conditions_for(mode: Mode) -> Conditions:
+    """The standard conditions of a mode: FTM, which knows the nominal centre only, has a search domain about it."""
+    return "search" if mode == "FTM" else "standard"
+
+
+def cells_of(plan: Plan, mode: Mode) -> list[tuple[Part, float, Conditions]]:
+    """What a plan measures of a policy: part, clearance per face in m, conditions."""
+    everything = comparison()
+    if plan is Plan.TABLE_2:
+        table = everything.table_2
+        return [(cell.part, metres(cell.clearance_mm), table.conditions) for cell in table.cells]
+    if plan is Plan.TABLE_1:
+        levels = [level for gap in everything.table_1.gaps for level in gap.clearance_mm]
+    else:
+        levels = [level.clearance_mm for level in everything.strength.levels]
+    return [("tr", metres(level), conditions_for(mode)) for level in levels]

@@ -1,0 +1,157 @@
+"""A document of headings, paragraphs, tables and pictures, as one HTML page and as Markdown.
+
+Text is Markdown of which only `**bold**`, `` `code` `` and `[text](address)` mean something.
+"""
+
+import html
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Literal
+
+Verdict = Literal["good", "bad"]
+_FIRST = ' class="first"'
+PROSE = 60
+"""Characters from which a cell's text may take several lines."""
+_MARKS = (
+    (re.compile(r"\*\*(.+?)\*\*"), r"<strong>\1</strong>"),
+    (re.compile(r"`(.+?)`"), r"<code>\1</code>"),
+    (re.compile(r"\[(.+?)\]\((.+?)\)"), r'<a href="\2">\1</a>'),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """Of level 2 or 3; the title of the document has level 1."""
+
+    text: str
+    level: Literal[2, 3] = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Paragraph:
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """Text of a cell that says how something compares."""
+
+    text: str
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Columns and rows.
+
+    Attributes:
+        header: of the columns.
+        rows: a cell per column.
+        groups: rows that begin a group, from 0; for the eye.
+        folded: hidden on the page until it is asked for.
+    """
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str | Judged]]
+    groups: frozenset[int] = frozenset()
+    folded: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """An SVG with what it shows.
+
+    Attributes:
+        name: of its file.
+        svg: its text.
+        caption: what is seen, for those who do not see it too.
+    """
+
+    name: str
+    svg: str
+    caption: str
+
+
+Block = Heading | Paragraph | Table | Picture
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    title: str
+    blocks: Sequence[Block]
+
+    @property
+    def pictures(self) -> list[Picture]:
+        return [block for block in self.blocks if isinstance(block, Picture)]
+
+    def to_html(self) -> str:
+        """One page with everything in it."""
+        page = Template((files("training.report") / "page.html").read_text())
+        contents = "".join(
+            f'<li><a href="#{_anchor(block.text)}">{_rich(block.text)}</a></li>'
+            for block in self.blocks
+            if isinstance(block, Heading) and block.level == 2
+        )
+        body = "\n".join(_html(block) for block in self.blocks)
+        return page.substitute(title=html.escape(self.title), contents=contents, body=body)
+
+    def to_markdown(self, pictures: Path) -> str:
+        """Markdown that finds the pictures, as SVG files, in the folder `pictures`, seen from it."""
+        parts = [f"# {self.title}", *(_markdown(block, pictures) for block in self.blocks)]
+        return "\n\n".join(parts) + "\n"
+
+
+def _html(block: Block) -> str:
+    match block:
+        case Heading(text, level):
+            return f'<h{level} id="{_anchor(text)}">{_rich(text)}</h{level}>'
+        case Paragraph(text):
+            return f"<p>{_rich(text)}</p>"
+        case Picture(_, svg, caption):
+            label, shown = html.escape(caption), _rich(caption)
+            return f'<figure role="img" aria-label="{label}">{svg}<figcaption>{shown}</figcaption></figure>'
+        case Table(header, rows, groups, folded):
+            head = "".join(f"<th>{_rich(text)}</th>" for text in header)
+            lines = "\n".join(
+                f"<tr{_FIRST if number in groups else ''}>{''.join(map(_cell, row))}</tr>"
+                for number, row in enumerate(rows)
+            )
+            table = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>\n{lines}\n</tbody></table></div>'
+            return f"<details><summary>{_rich(folded)}</summary>{table}</details>" if folded else table
+
+
+def _cell(cell: str | Judged) -> str:
+    if isinstance(cell, Judged):
+        return f'<td class="{cell.verdict}">{_rich(cell.text)}</td>'
+    return f'<td class="prose">{_rich(cell)}</td>' if len(cell) > PROSE else f"<td>{_rich(cell)}</td>"
+
+
+def _markdown(block: Block, pictures: Path) -> str:
+    match block:
+        case Heading(text, level):
+            return f"{'#' * level} {text}"
+        case Paragraph(text):
+            return text
+        case Picture(name, _, caption):
+            return f"![{caption}]({(pictures / name).as_posix()}.svg)"
+        case Table(header, rows):
+            lines = [header, ["---"] * len(header), *rows]
+            return "\n".join(
+                "| " + " | ".join(cell.text if isinstance(cell, Judged) else cell for cell in line) + " |"
+                for line in lines
+            )
+
+
+def _rich(text: str) -> str:
+    rich = html.escape(text, quote=False)
+    for pattern, by in _MARKS:
+        rich = pattern.sub(by, rich)
+    return rich
+
+
+def _anchor(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")

@@ -1,0 +1,135 @@
+"""What there is to report: results by name, and how a figure is put into words."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from service.safety import dsl
+from sim_backend.protocol.task import Conditions, Part
+from training import paper
+from training.evaluate import FIRST_TEST_SEED
+from training.report import curves
+from training.report.curves import Curve
+from training.results import Block, Results, Through
+
+NOT_MEASURED = "not measured"
+EPISODES = 500
+"""The paper's count of tests per figure of Table I; a figure from fewer says so."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Everything that was measured.
+
+    Attributes:
+        results: by name of the policy's file.
+        curves: of trainings.
+    """
+
+    results: Mapping[str, Results]
+    curves: tuple[Curve, ...]
+
+    @classmethod
+    def read(cls, folder: Path) -> "Measured":
+        """Read a folder of results.
+
+        Raises:
+            ResultsError: a file that does not hold what it should.
+        """
+        results = {path.stem: Results.load(path) for path in sorted(folder.glob("*.json"))}
+        return cls(results, tuple(curves.load(folder)))
+
+    def block(
+        self,
+        name: str,
+        clearance_mm: float,
+        part: Part = "tr",
+        *,
+        conditions: Conditions | None = None,
+        lock: dsl.Mode | None = None,
+        through: Through = "environment",
+    ) -> Block | None:
+        """The largest measurement of a policy on test seeds, or None.
+
+        Args:
+            name: of its results.
+            clearance_mm: per face.
+            part: peg and hole.
+            conditions: None: the standard ones of its mode.
+            lock: None: its own.
+            through: what played.
+        """
+        results = self.results.get(name)
+        if results is None:
+            return None
+        wanted = (part, paper.metres(clearance_mm), conditions or paper.conditions_for(results.mode))
+        found = [
+            block
+            for block in results.blocks
+            if (block.setting.part, block.setting.clearance_m, block.setting.conditions) == wanted
+            and block.setting.lock == (lock or results.lock)
+            and block.setting.through == through
+            and block.setting.first_seed == FIRST_TEST_SEED
+            and block.episodes
+        ]
+        return max(found, key=lambda block: len(block.episodes), default=None)
+
+
+def percent(share: float) -> str:
+    """A rate as text."""
+    return f"{share:.1%}".replace("%", " %")
+
+
+def printed(share: float) -> str:
+    """A rate with the digits that the paper prints."""
+    return f"{100 * share:.2f} %"
+
+
+def success(block: Block | None) -> str:
+    """A success rate with its interval, and its count where that is less than the paper's."""
+    if block is None:
+        return NOT_MEASURED
+    few = f", n = {len(block.episodes)}" if len(block.episodes) < EPISODES else ""
+    return f"**{percent(block.rate)}** {interval(*block.interval)}{few}"
+
+
+def interval(low: float, high: float) -> str:
+    """An interval as text."""
+    return f"({100 * low:.1f}–{100 * high:.1f})"
+
+
+def deep_success(block: Block | None) -> str:
+    """The rate at which the policy, left on, went to the depth of the author's code."""
+    deep = [] if block is None else [e.success_10mm for e in block.episodes if e.success_10mm is not None]
+    return percent(float(np.mean(deep))) if deep else "–"
+
+
+def peaks(block: Block | None) -> str:
+    """Median, 99th percentile and maximum of the peak force."""
+    return "–" if block is None else " / ".join(f"{value:.1f}" for value in block.peaks)
+
+
+def mean_steps(block: Block | None) -> str:
+    """Steps of the policy per episode."""
+    return "–" if block is None else f"{np.mean([e.steps for e in block.episodes]):.0f}"
+
+
+def returns(block: Block | None) -> tuple[str, str]:
+    """Mean and variance of the return."""
+    found = [] if block is None else [e.episode_return for e in block.episodes if e.episode_return is not None]
+    return (signed(float(np.mean(found))), signed(float(np.var(found)))) if found else ("–", "–")
+
+
+def signed(value: float) -> str:
+    """A return as text."""
+    return f"{value:.4f}".replace("-", "−")
+
+
+def duration(seconds: float) -> str:
+    """A wall-clock time as text."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"

@@ -1,0 +1,46 @@
+"""Puts the chapters together and writes them."""
+
+from pathlib import Path
+
+from training import paper
+from training.report import own_chapters as own
+from training.report import paper_chapters as others
+from training.report.document import Document
+from training.report.measured import Measured
+
+TITLE = "Results"
+PICTURES = "results"
+
+
+def document(measured: Measured) -> Document:
+    """The report of everything that was measured."""
+    comparison = paper.comparison()
+    return Document(
+        TITLE,
+        [
+            *own.glance(measured, comparison),
+            *own.conditions(measured, comparison),
+            *own.strength(measured, comparison),
+            *others.table_1(measured, comparison),
+            *others.learning_curves(measured, comparison),
+            *others.table_2(measured, comparison),
+            *own.force(measured, comparison),
+            *own.service(measured),
+            *others.contradictions(comparison),
+            *own.everything(measured),
+        ],
+    )
+
+
+def write(report: Document, folder: Path) -> list[Path]:
+    """Write `results.html`, `results.md` and the pictures of the latter; returns the files."""
+    pictures = folder / "pictures" / PICTURES
+    pictures.mkdir(parents=True, exist_ok=True)
+    files = {
+        folder / "results.html": report.to_html(),
+        folder / "results.md": report.to_markdown(pictures.relative_to(folder)),
+        **{pictures / f"{picture.name}.svg": picture.svg for picture in report.pictures},
+    }
+    for path, text in files.items():
+        path.write_text(text)
+    return list(files)
