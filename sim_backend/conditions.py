@@ -50,9 +50,9 @@ _CONDITIONS = {
     "easy": _Distributions((0.020, 0.020, 0.010), float(np.deg2rad(30)), (0.5e-3, 0.5e-3, 0.3e-3), 0.1e-3),
     "search": _Distributions((0.010, 0.010, 0.010)),
     "transfer": _Distributions(
-        friction=0.45,
-        stiffness_scale=0.75,
-        sensor_delay=SENSOR_DELAY_TICKS[1],
+        friction=0.7,
+        stiffness_scale=1.5,
+        sensor_delay=SENSOR_DELAY_TICKS[1] + 1,
         force_noise_n=1.0,
         torque_noise_nm=0.07,
         bias_scale=2.0,
@@ -73,7 +73,7 @@ class Episode:
         friction: sliding, peg on block.
         stiffness_scale: of the compliance law and the fingers, relative to nominal.
         mass_scale: of the gripper and the peg.
-        sensor_delay: ticks from force to sample, 1–4 (2–8 ms): drawn, unless the task or its conditions name it.
+        sensor_delay: ticks from force to sample: drawn from 1–4 (2–8 ms), unless the task or its conditions name it.
         target_delay: ticks from a target's arrival to its effect.
         bias: (6,) of the raw sensor, N and N·m.
         drift: (6,) of that bias, per second.
