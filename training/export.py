@@ -1,5 +1,6 @@
 """From a trained network to the file that a cell loads: ONNX, normalisation inside, contract in the metadata."""
 
+import copy
 import tempfile
 import warnings
 from collections.abc import Sequence
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import onnx
 import onnx.helper
+import onnx.numpy_helper
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear
@@ -21,6 +23,8 @@ OPSET = 17
 AGREEMENT = 1e-4
 """Largest difference between what the exported graph and the network compute, actions and memories in -1 … 1."""
 PROBES = 64
+HALVED_FROM = 1024
+"""Size from which on a tensor of weights is stored in half precision; the arithmetic stays in single."""
 
 
 class DeterministicActor(nn.Module):
@@ -89,12 +93,13 @@ def network_of(contract: PolicyContract, weights: dict[str, Tensor]) -> ActorCri
 
 
 def to_onnx(network: ActorCritic, contract: PolicyContract) -> bytes:
-    """Return the file of a network's deterministic actor with its contract.
+    """Return the file of a network's deterministic actor with its contract, the weights rounded to half precision.
 
     Raises:
-        ValueError: the exported graph does not compute what the network computes.
+        ValueError: the exported graph does not compute what the rounded network computes.
         service.policy.model.PolicyError: the service would refuse the file.
     """
+    network = rounded(network)
     actor = DeterministicActor(network).eval()
     probe = torch.Generator().manual_seed(0)
     observation = torch.randn(PROBES, network.seen, generator=probe) * network.normalise.scale
@@ -114,7 +119,7 @@ def to_onnx(network: ActorCritic, contract: PolicyContract) -> bytes:
             opset_version=OPSET,
             dynamo=False,
         )
-        data = _with_contract(onnx.load(graph), contract)
+        data = _with_contract(_halved(onnx.load(graph)), contract)
     with torch.no_grad():
         perceived, remembered = network.remember(observation, hidden)
         wanted = network.act(perceived, remembered)[0].clamp(-1.0, 1.0).numpy()
@@ -135,6 +140,28 @@ def export(network: ActorCritic, contract: PolicyContract, path: Path) -> Policy
         service.policy.model.PolicyError: the service would refuse the file; nothing is written.
     """
     return _write(to_onnx(network, contract), path)
+
+
+def rounded(network: ActorCritic) -> ActorCritic:
+    """Return a copy whose large tensors hold numbers of half precision."""
+    network = copy.deepcopy(network)
+    with torch.no_grad():
+        for weights in network.parameters():
+            if weights.numel() >= HALVED_FROM:
+                weights.copy_(weights.half())
+    return network
+
+
+def _halved(document: onnx.ModelProto) -> onnx.ModelProto:
+    """Store the large tensors of a graph in half precision and cast them where they enter it."""
+    graph = document.graph
+    for tensor in graph.initializer:
+        weights = onnx.numpy_helper.to_array(tensor)
+        if weights.dtype == np.float32 and weights.size >= HALVED_FROM:
+            name = tensor.name
+            tensor.CopyFrom(onnx.numpy_helper.from_array(weights.astype(np.float16), f"{name}.half"))
+            graph.node.insert(0, onnx.helper.make_node("Cast", [tensor.name], [name], to=onnx.TensorProto.FLOAT))
+    return document
 
 
 def _with_contract(document: onnx.ModelProto, contract: PolicyContract) -> bytes:

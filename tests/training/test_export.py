@@ -13,7 +13,7 @@ from service.policy.model import Policy, PolicyError  # noqa: E402
 from sim_backend.protocol.task import Task  # noqa: E402
 from tests.training.play import REMEMBERING, SHORT  # noqa: E402
 from training import design  # noqa: E402
-from training.export import export, network_of, record_evaluation, to_onnx  # noqa: E402
+from training.export import export, network_of, record_evaluation, rounded, to_onnx  # noqa: E402
 from training.insertion import Insertions  # noqa: E402
 
 
@@ -32,6 +32,7 @@ def trained(request: pytest.FixtureRequest) -> tuple[Any, PolicyContract]:
 def test_the_file_computes_what_the_network_does_through_real_episodes(trained: tuple[Any, PolicyContract]) -> None:
     network, contract = trained
     policy = Policy(to_onnx(network, contract))
+    network = rounded(network)
     cells = Insertions(contract, 2)
     seen = cells.reset(np.arange(2), [Task(0), Task(1)])
     remembered, hidden = policy.initial_hidden((2,)), network.initial_hidden(2)
@@ -45,6 +46,17 @@ def test_the_file_computes_what_the_network_does_through_real_episodes(trained: 
             np.testing.assert_allclose(remembered, hidden.numpy(), rtol=0, atol=1e-5)
         seen = cells.step(got).observation
     assert np.abs(got).max() > 1e-3
+
+
+def test_the_files_large_tensors_are_rounded_to_half_precision_and_take_half_the_room(
+    trained: tuple[Any, PolicyContract],
+) -> None:
+    network, contract = trained
+    actor = [p for name, p in network.named_parameters() if not name.startswith(("critic", "log_std"))]
+    full = sum(4 * p.numel() for p in actor)
+    assert len(to_onnx(network, contract)) < 0.5 * full + 40_000
+    for before, after in zip(network.parameters(), rounded(network).parameters(), strict=True):
+        np.testing.assert_allclose(after.detach(), before.detach(), rtol=2**-11, atol=1e-7)
 
 
 def test_a_recurrent_policy_acts_by_what_it_has_seen_before(remembering: Any) -> None:
