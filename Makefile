@@ -86,12 +86,18 @@ docs-check: $(DEV) ## links between documents, and the documents that must exist
 
 # --- training and measurements --------------------------------------------------------------------------------------
 
-.PHONY: train evaluate benchmark
+.PHONY: train evaluate reproduce report benchmark
 train: $(TRAINING) ## train an experiment, or go on with it: hours (EXPERIMENT=vftm-dsl; ARGS=--help)
 	$(BIN)/dsl-assembly train $(EXPERIMENT) $(ARGS)
 
 evaluate: $(TRAINING) ## success over fresh seeds, with intervals (ARGS="MODEL --episodes 500 ..."; ARGS=--help)
 	$(BIN)/dsl-assembly evaluate $(or $(ARGS),$(MODEL))
+
+reproduce: $(TRAINING) ## play every episode of the report again, compare, report into var/reproduced (ARGS=--help)
+	$(BIN)/dsl-assembly reproduce $(ARGS)
+
+report: $(TRAINING) ## write docs/results.html and docs/results.md from results/ (ARGS=--help)
+	$(BIN)/dsl-assembly report $(ARGS)
 
 benchmark: $(TRAINING) ## measure, print the tables, save them in benchmarks/results/ (ARGS=--help)
 	$(BIN)/python -m benchmarks $(ARGS)

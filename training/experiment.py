@@ -71,7 +71,7 @@ class TaskSection(Section):
         if len(set(self.parts)) < len(self.parts):
             raise ValueError("parts names one more than once")
         for clearance in self.clearance_m:
-            Task(0, self.parts[0], clearance, self.conditions).check()
+            Task(0, self.parts[0], clearance, self.conditions, self.randomise_plant).check()
         design.check_conditions(self.mode, self.conditions)
         return self
 

@@ -222,3 +222,26 @@ def cells_of(plan: Plan, mode: Mode) -> list[tuple[Part, float, Conditions]]:
     else:
         levels = [level.clearance_mm for level in everything.strength.levels]
     return [("tr", metres(level), conditions_for(mode)) for level in levels]
+
+
+def reported(name: str, mode: Mode) -> list[tuple[Part, float, Conditions, dsl.Mode | None]]:
+    """What all tables together say of the policy of this name: as `cells_of`, and the lock, None for its own."""
+    everything = comparison()
+    strength, transfer = everything.strength, everything.table_2
+    rows = everything.table_1.rows
+    plans = [
+        (Plan.STRENGTH, name in (strength.results, *strength.beside)),
+        (Plan.TABLE_1, name in [row.ours for row in rows]),
+        (Plan.TABLE_2, name in (transfer.results, *transfer.beside)),
+    ]
+    found: list[tuple[Part, float, Conditions, dsl.Mode | None]] = [
+        (*cell, None) for plan, wanted in plans if wanted for cell in cells_of(plan, mode)
+    ]
+    levels = {level for row in rows for gap in everything.table_1.gaps for level in gap.clearance_mm}
+    alone: list[tuple[float, dsl.Mode | None]] = [
+        (level, None) for level in sorted(levels) if name in [row.reproduction(level) for row in rows]
+    ]
+    for row in everything.force.rows:
+        if row.results == name:
+            alone += [(level, row.lock) for level in everything.force.clearance_mm]
+    return found + [("tr", metres(level), conditions_for(mode), lock) for level, lock in alone]

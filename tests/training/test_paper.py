@@ -45,3 +45,12 @@ def test_a_plan_measures_the_policy_without_a_camera_in_a_search_domain(plan: Pl
     conditions = {drawn for _, _, drawn in paper.cells_of(plan, "FTM")}
     assert conditions == {"transfer" if plan is Plan.TABLE_2 else "search"}
     assert len(set(paper.cells_of(plan, "VFTM"))) == {Plan.STRENGTH: 6, Plan.TABLE_1: 4, Plan.TABLE_2: 9}[plan]
+
+
+def test_what_is_reported_of_a_policy_is_what_the_tables_name_it_for() -> None:
+    shipped = paper.reported("vftm-dsl", "VFTM")
+    assert set(shipped) >= {(*cell, None) for plan in Plan for cell in paper.cells_of(plan, "VFTM")}
+    assert ("tr", 1.33e-3, "standard", "off") in shipped
+    assert paper.reported("paper-vftm-c133", "VFTM") == [("tr", 1.33e-3, "standard", None)]
+    assert paper.reported("paper-ftm-c400", "FTM") == [("tr", 4e-3, "search", None)]
+    assert paper.reported("somebody-elses", "VFTM") == []

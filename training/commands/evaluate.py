@@ -69,19 +69,10 @@ def evaluate(
             first_seed=first_seed,
         )
         path = results / f"{name or model.stem}.json"
-        known = _known(policy, path, anew)
-    except (PolicyError, ResultsError, ValueError) as error:
+        measured = measure(model, policy, settings, path, episodes, workers, anew=anew)
+    except (PolicyError, ResultsError, ValueError, through_service.ServiceError) as error:
         _fail(str(error))
-    keep = _Keeper(known, path, workers)
-    wanted = [known.block(setting) for setting in settings]
-    missing = sum(len(block.missing(episodes)) for block in wanted)
-    with typer.progressbar(length=missing, label=path.stem) as bar:
-        keep.on_kept = bar.update
-        try:
-            _play(model, policy, wanted, episodes, workers, keep)
-        except through_service.ServiceError as error:
-            _fail(str(error))
-    blocks = [keep.results.block(setting).first(episodes) for setting in settings]
+    blocks = [measured.block(setting).first(episodes) for setting in settings]
     typer.echo("\n".join([HEADER, *(block.line() for block in blocks)]))
     for episode in (e for block in blocks for e in block.episodes if e.claimed not in (None, e.success)):
         told = "succeeded" if episode.claimed else f"ended by {episode.code}"
@@ -89,7 +80,45 @@ def evaluate(
         typer.echo(f"seed {episode.seed}: the service says that it {told}, in truth the peg is {where}")
     typer.echo(f"kept in {path}")
     if record:
-        _record(model, keep.results, path, blocks)
+        _record(model, measured, path, blocks)
+
+
+def measure(
+    model: Path,
+    policy: Policy,
+    settings: Sequence[Setting],
+    path: Path,
+    episodes: int,
+    workers: int,
+    *,
+    anew: bool = False,
+) -> Results:
+    """Play what is missing of the first `episodes` episodes of each setting, with a bar on the terminal.
+
+    Args:
+        model: file of the policy.
+        policy: loaded from it.
+        settings: to measure.
+        path: of the results, which keep every episode as it ends.
+        episodes: per setting.
+        workers: processes; those through the service run in this one.
+        anew: drop what the file holds of another policy.
+
+    Returns:
+        All that the file holds then.
+
+    Raises:
+        ResultsError: the file holds another policy's results.
+        ServiceError: the service, or what it needs, failed.
+    """
+    known = _known(policy, path, anew)
+    keep = _Keeper(known, path, workers)
+    wanted = [known.block(setting) for setting in settings]
+    missing = sum(len(block.missing(episodes)) for block in wanted)
+    with typer.progressbar(length=missing, label=path.stem) as bar:
+        keep.on_kept = bar.update
+        _play(model, policy, wanted, episodes, workers, keep)
+    return keep.results
 
 
 class _Keeper:

@@ -46,6 +46,7 @@ class Curve(Section):
         experiment: its name.
         title: what it is.
         seed: of network, exploration and tasks.
+        start_from: experiment whose best weights it began with; None: it began from nothing.
         reward: that returns are sums of.
         machine: processor and cores of its last session.
         commit: likewise.
@@ -58,6 +59,7 @@ class Curve(Section):
     experiment: str
     title: str
     seed: int
+    start_from: str | None
     reward: str
     machine: str
     commit: str | None
@@ -65,6 +67,11 @@ class Curve(Section):
     elapsed_s: float
     evaluations: tuple[Point, ...]
     rollouts: tuple[tuple[int, float], ...]
+
+    @property
+    def label(self) -> str:
+        """Its name, and what it began with: steps and time before that are not in its own."""
+        return f"`{self.experiment}`" + (f", after `{self.start_from}`" if self.start_from else "")
 
     def reached(self, success: float, clearance_mm: float) -> Point | None:
         """The first evaluation of the triangle at a clearance with at least that success; None if there was none."""
@@ -102,6 +109,7 @@ class Curve(Section):
             experiment=experiment["name"],
             title=experiment["title"],
             seed=account["seed"],
+            start_from=experiment["start_from"],
             reward=experiment["task"]["reward"],
             machine=session["machine"],
             commit=session["commit"],

@@ -77,13 +77,15 @@ def glance(measured: Measured, comparison: Comparison) -> Iterator[Block]:
         ]
     )
     found = [measured.block(strength.results, level.clearance_mm) for level in strength.levels]
-    highest = max((block.peaks[1] for block in found if block is not None), default=None)
+    forces = [block.peaks[1] for block in found if block is not None]
+    told = f"**{max(forces):.1f} N** ({len(forces)} of {len(found)} clearances measured)" if forces else NOT_MEASURED
+    low_enough = max(forces, default=0.0) <= strength.peak_force_p99_n
     lines.append(
         [
             "p99 of the peak force, at the clearance where it is largest",
             f"at most {strength.peak_force_p99_n:g} N",
-            NOT_MEASURED if highest is None else f"**{highest:.1f} N**",
-            NOT_MEASURED if highest is None else _met(highest <= strength.peak_force_p99_n),
+            told,
+            _met(low_enough) if len(forces) == len(found) or not low_enough else NOT_MEASURED,
         ]
     )
     yield Paragraph(
@@ -307,7 +309,7 @@ def everything(measured: Measured) -> Iterator[Block]:
     if measured.curves:
         trained: list[list[str | Judged]] = [
             [
-                f"`{curve.experiment}`",
+                curve.label,
                 str(curve.seed),
                 f"{curve.steps / 1e6:.2f} M",
                 duration(curve.elapsed_s),
@@ -325,7 +327,8 @@ def everything(measured: Measured) -> Iterator[Block]:
 
 def _row(name: str, results: Results, block: Measurement) -> list[str | Judged]:
     setting = block.setting
-    session = block.sessions[-1] if block.sessions else None
+    commits = dict.fromkeys(f"`{_commit(session.commit)}`" for session in block.sessions)
+    machines = dict.fromkeys(session.machine for session in block.sessions)
     lock: dsl.Mode = setting.lock
     return [
         f"`{name}`",
@@ -341,8 +344,8 @@ def _row(name: str, results: Results, block: Measurement) -> list[str | Judged]:
         peaks(block) if block.episodes else "–",
         str(sum(e.fault for e in block.episodes)),
         duration(block.wall_s),
-        "–" if session is None else f"`{_commit(session.commit)}`",
-        "–" if session is None else session.machine,
+        ", ".join(commits) or "–",
+        ", ".join(machines) or "–",
     ]
 
 

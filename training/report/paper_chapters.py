@@ -34,8 +34,9 @@ def table_1(measured: Measured, comparison: Comparison) -> Iterator[Block]:
     """Table I: per gap, the paper, our runs of its experiment, and our one policy for every clearance."""
     yield Heading("Table I: what is observed, and the lock")
     yield Paragraph(
-        "**Reproduced** is the paper's experiment run by us: its inputs, lock, reward, steps and a network without "
-        "memory, one policy per gap, trained and tested at that clearance. **One policy** is trained over a range of "
+        "**Reproduced** is the paper's experiment run by us: its kinds of input, its lock, reward and steps, and a "
+        "network without memory, one policy per gap, trained and tested at that clearance; the entries of the "
+        "observation, the compliance law and the critic are ours. **One policy** is trained over a range of "
         "clearances with memory and our reward. Returns are sums of equations 1 and 2, lengths in m, at a scale of 1; "
         "the paper does not state its scale, so returns compare among ours only. Variances are over episodes. FTM "
         "plays in the conditions `search`, the others in `standard`."
@@ -138,7 +139,7 @@ def learning_curves(measured: Measured, comparison: Comparison) -> Iterator[Bloc
             continue
         rewards = sorted({curve.reward for _, curves, _ in series for curve in curves})
         told = "; ".join(
-            f"{name}: {len(curves)} seed{'s' if len(curves) > 1 else ''}, {percent(_last(curves, level))} at the end"
+            f"{name}: {len(curves)} seed{'s' if len(curves) > 1 else ''}, {_last(curves, level)}"
             for name, curves, level in series
         )
         svg = plots.learning(
@@ -163,7 +164,7 @@ def _time_to_the_paper(measured: Measured, comparison: Comparison) -> Iterator[B
             reached = (
                 ("not reached", "–") if point is None else (f"{point.steps / 1e6:.2f} M", duration(point.elapsed_s))
             )
-            about = (f"{level.clearance_mm:g} mm", printed(level.paper), f"`{curve.experiment}`", str(curve.seed))
+            about = (f"{level.clearance_mm:g} mm", printed(level.paper), curve.label, str(curve.seed))
             rate = f"{curve.steps / curve.elapsed_s:.0f}" if curve.elapsed_s else "–"
             lines.append([*about, *reached, rate, curve.machine])
     if not lines:
@@ -171,7 +172,8 @@ def _time_to_the_paper(measured: Measured, comparison: Comparison) -> Iterator[B
         return
     yield Paragraph(
         "The first evaluation of the triangle with at least the paper's success, and the wall-clock until then, "
-        "evaluations and other work on the machine included. The author's trainings took 3 to 5 hours for 2 M steps."
+        "evaluations and other work on the machine included. Where a training began with another one's weights, that "
+        "one's steps and time come on top. The author's trainings took 3 to 5 hours for 2 M steps."
     )
     header = ["c", "the paper", "experiment", "seed", "reached after, steps", "wall-clock", "steps/s", "machine"]
     yield Table(header, lines)
@@ -192,9 +194,12 @@ def _of(curve: Curve, level: float | None) -> list[Point]:
     return [point for point in curve.evaluations if level in (None, point.clearance_mm)]
 
 
-def _last(curves: Sequence[Curve], level: float | None) -> float:
+def _last(curves: Sequence[Curve], level: float | None) -> str:
+    """The success at the last evaluation that all seeds have, and when that was."""
     line = _line("", curves, level, "success")
-    return float(np.mean([row[-1] for row in line.y])) if line.x else float("nan")
+    if not line.x:
+        return "no evaluation that all have"
+    return f"{percent(float(np.mean([row[-1] for row in line.y])))} after {line.x[-1] / 1e6:.2f} M steps"
 
 
 def table_2(measured: Measured, comparison: Comparison) -> Iterator[Block]:

@@ -1,6 +1,7 @@
 """The report of a handful of results: what it says of them, and that it says what is missing."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -17,7 +18,7 @@ from training.report import curves
 from training.report.measured import Measured
 from training.report.paper_chapters import beaten
 from training.report.writing import document
-from training.results import Block, EpisodeResult, Results, ResultsError, Setting
+from training.results import Block, EpisodeResult, Results, ResultsError, Session, Setting
 
 
 def block(
@@ -98,6 +99,35 @@ def test_a_target_is_met_by_the_rate_and_the_paper_is_beaten_by_the_lower_end_of
     assert line_with(doubtful, "above the paper at 1.33 mm").endswith("| 81.2 % | missed |")
 
 
+def test_a_limit_of_force_is_met_only_once_every_clearance_was_measured() -> None:
+    levels = [level.clearance_mm for level in paper.comparison().strength.levels]
+
+    def verdict(levels: list[float], force_n: float) -> str:
+        found = {"vftm-dsl": results(*(block(40, clearance_mm=level, force_n=force_n) for level in levels))}
+        return line_with(told(Measured(found, ())), "p99 of the peak force, at").rpartition("| ")[0].rpartition("| ")[2]
+
+    assert verdict(levels, 10.0) == "met "
+    assert verdict(levels[:1], 10.0) == "not measured "
+    assert verdict(levels[:1], 20.0) == "missed "
+
+
+def test_what_was_measured_in_another_reward_or_at_another_ceiling_stands_in_no_table() -> None:
+    known = block(40)
+    for change in ({"reward": "potential"}, {"force_ceiling_n": 50.0}):
+        other = known.model_copy(update={"setting": replace(known.setting, **change)})
+        assert Measured({"p": results(other)}, ()).block("p", 1.33) is None
+        assert Measured({"p": results(other, known)}, ()).block("p", 1.33) == known
+
+
+def test_a_measurement_of_several_sessions_names_the_commits_of_all() -> None:
+    sessions = tuple(
+        Session(ended="2026-01-01", commit=commit, machine="one", versions={}, workers=1, episodes=25, wall_s=1.0)
+        for commit in ("aaaaaaaaaaaa", "bbbbbbbbbbbb-dirty", "aaaaaaaaaaaa")
+    )
+    text = told(Measured({"p": results(block(40).model_copy(update={"sessions": sessions}))}, ()))
+    line_with(text, "| 1000000, 50 |", "| `aaaaaaaaa`, `bbbbbbbbb-dirty` | one |")
+
+
 def test_table_1_has_the_paper_our_run_of_it_and_the_mean_and_variance_of_the_return() -> None:
     text = told(Measured({"paper-vftm-c133": results(block(40))}, ()))
     row = line_with(text, "| reproduced | 1.33 mm | **80.0 %** (67.0–88.8), n = 50 |")
@@ -170,7 +200,7 @@ def run_folder(folder: Path, name: str = "paper-vftm-c133") -> Path:
     folder = folder / name / "seed-3"
     folder.mkdir(parents=True)
     account = {
-        "experiment": {"name": name, "title": "of a test", "task": {"reward": "paper"}},
+        "experiment": {"name": name, "title": "of a test", "start_from": None, "task": {"reward": "paper"}},
         "seed": 3,
         "sessions": [{"machine": "a machine", "commit": "abc"}],
     }
@@ -204,7 +234,7 @@ def test_learning_curves_are_kept_beside_the_results_and_drawn(tmp_path: Path) -
     drawn = document(Measured({}, (curve,)))
     (picture, lock) = [picture for picture in drawn.pictures if picture.name.startswith("curves-")]
     assert picture.name == "curves-observation-c133"
-    assert "VFTM: 1 seed, 20.0 % at the end" in picture.caption
+    assert "VFTM: 1 seed, 20.0 % after 0.00 M steps" in picture.caption
     assert lock.name == "curves-lock-real"
 
 
@@ -216,6 +246,8 @@ def test_the_time_to_the_papers_success_is_that_of_the_first_evaluation_that_has
     (curve,) = [curve for curve in [curves.Curve.of_run(folder)] if curve is not None]
     row = line_with(told(Measured({}, (curve,))), "1.33 mm | 88.57 % | `paper-vftm-c133` | 3")
     assert "| 1.00 M | 3 min |" in row
+    continued = curve.model_copy(update={"start_from": "easier"})
+    line_with(told(Measured({}, (continued,))), "| 88.57 % | `paper-vftm-c133`, after `easier` | 3 |")
     assert curve.reached(0.88, 0.33) is None
 
 

@@ -1,0 +1,53 @@
+"""`dsl-assembly reproduce`, in this process: what the report says is measured again, and what differs is told."""
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
+
+from training.__main__ import app
+from training.results import Block, EpisodeResult, Results
+
+ARGUMENTS = ("--episodes", "1", "--workers", "1")
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model_path: Path) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "models").mkdir()
+    for name in ("paper-vftm-c133", "somebody-elses"):
+        (tmp_path / "models" / f"{name}.onnx").write_bytes(model_path.read_bytes())
+    return tmp_path
+
+
+def earlier(here: Path, successes: int) -> None:
+    """Put 500 episodes in the place of what `reproduce` is to compare with."""
+    found = Results.load(here / "var/reproduced/paper-vftm-c133.json")
+    (block,) = found.blocks
+    episodes = tuple(EpisodeResult(1_000_000 + i, i < successes, False, 9, 9.0) for i in range(500))
+    found.with_block(Block(setting=block.setting, episodes=episodes)).save(here / "results/paper-vftm-c133.json")
+
+
+def test_what_the_report_says_is_measured_again_and_reported(here: Path) -> None:
+    first = CliRunner().invoke(app, ["reproduce", *ARGUMENTS])
+    assert first.exit_code == 0, first.output
+    assert "new " in first.output
+    assert "c = 1.33 mm" in (here / "var/reproduced/results.md").read_text()
+    assert not (here / "var/reproduced/somebody-elses.json").exists()
+    (block,) = Results.load(here / "var/reproduced/paper-vftm-c133.json").blocks
+    (episode,) = block.episodes
+    earlier(here, 500 * episode.success)
+    again = CliRunner().invoke(app, ["reproduce", *ARGUMENTS])
+    assert again.exit_code == 0, again.output
+    assert "as before" in again.output
+
+
+def test_a_rate_outside_the_earlier_interval_is_told_and_fails(here: Path) -> None:
+    CliRunner().invoke(app, ["reproduce", *ARGUMENTS])
+    earlier(here, 250)
+    result = CliRunner().invoke(app, ["reproduce", *ARGUMENTS])
+    assert result.exit_code == 1
+    assert "DIFFERENT" in result.output
+    assert "before 50.0% (45.6% to 54.4%)" in result.output

@@ -1,0 +1,82 @@
+"""`reproduce`: measure every shipped policy as the report needs it, and say how that compares with earlier results."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.policy.model import Policy, PolicyError
+from training import paper
+from training.commands.evaluate import measure
+from training.commands.report import report
+from training.evaluate import FIRST_TEST_SEED
+from training.results import RESULTS, Results, ResultsError, Setting
+
+EXIT_DIFFERENT = 1
+EXIT_USAGE = 2
+
+
+def reproduce(
+    models: Annotated[Path, typer.Option(help="Folder of the policies.")] = Path("models"),
+    results: Annotated[Path, typer.Option(help="Folder that the results go to.")] = Path("var/reproduced"),
+    against: Annotated[Path, typer.Option(help="Folder of the results to compare with.")] = RESULTS,
+    episodes: Annotated[int, typer.Option(min=1, help="Per cell.")] = 500,
+    workers: Annotated[int, typer.Option(min=0, help="Processes; 0: one per core.")] = 0,
+) -> None:
+    """Play all of the report's episodes again in the batched environment, and write the report of them.
+
+    What was played is kept: the same command again goes on. Fails if a success rate lies outside the 95 % interval of
+    the one that it is compared with.
+    """
+    different = 0
+    for model in sorted(models.glob("*.onnx")):
+        name = f"{model.stem}.json"
+        try:
+            policy = Policy.load(model)
+            settings = settings_of(model.stem, policy)
+            if not settings:
+                continue
+            found = measure(model, policy, settings, results / name, episodes, workers or len(os.sched_getaffinity(0)))
+            earlier = Results.load(against / name) if (against / name).exists() else None
+        except (PolicyError, ResultsError) as error:
+            typer.echo(f"reproduce: {error}", err=True)
+            raise typer.Exit(EXIT_USAGE) from error
+        for line in compared(found, earlier, settings):
+            different += line.startswith("DIFFERENT")
+            typer.echo(line)
+    report(results=results, runs=Path("var/training"), out=results)
+    if different:
+        typer.echo(f"{different} success rates lie outside the interval of {against}", err=True)
+        raise typer.Exit(EXIT_DIFFERENT)
+
+
+def settings_of(name: str, policy: Policy) -> list[Setting]:
+    """Everything that the report says of a policy, each once."""
+    contract = policy.contract
+    settings = [
+        Setting(
+            part=part,
+            clearance_m=clearance,
+            conditions=conditions,
+            lock=lock or contract.dsl.mode,
+            first_seed=FIRST_TEST_SEED,
+        )
+        for part, clearance, conditions, lock in paper.reported(name, contract.mode)
+    ]
+    return list(dict.fromkeys(settings))
+
+
+def compared(found: Results, earlier: Results | None, settings: list[Setting]) -> Iterator[str]:
+    """One line per setting: what was found, and whether it lies within the interval of what was found earlier."""
+    for setting in settings:
+        block = found.block(setting)
+        known = None if earlier is None else earlier.block(setting)
+        told = f"{found.policy} {setting.part} {setting.clearance_m * 1e3:.2f} mm {setting.conditions} {setting.lock}"
+        if known is None or not known.episodes:
+            yield f"new        {told}: {block.rate:.1%}"
+            continue
+        low, high = known.interval
+        verdict = "as before " if low <= block.rate <= high else "DIFFERENT "
+        yield f"{verdict} {told}: {block.rate:.1%}, before {known.rate:.1%} ({low:.1%} to {high:.1%})"
