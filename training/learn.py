@@ -166,6 +166,7 @@ class _Training:
                 {
                     **self._weights(),
                     "score": list(reached),
+                    "evaluation": self._judged_at(),
                     "validation": [validation.record() for validation in validations],
                 },
             )
@@ -203,8 +204,13 @@ class _Training:
         torch.set_rng_state(document["random"])
         self._steps, self._earlier_s = document["steps"], document["elapsed_s"]
         self._evaluated = document["evaluated"]
-        if self._run.best.is_file():
-            self._best = tuple(read(self._run.best)["score"])
+        best = read(self._run.best) if self._run.best.is_file() else None
+        if best is not None and best.get("evaluation", self._judged_at()) == self._judged_at():
+            self._best = tuple(best["score"])
+
+    def _judged_at(self) -> dict[str, Any]:
+        """What an evaluation plays: scores of another one do not compare with it."""
+        return self._experiment.evaluation.model_dump(mode="json", exclude={"every_steps"})
 
     def _named_start(self) -> Path | None:
         name = self._experiment.start_from

@@ -237,11 +237,11 @@ def reported(name: str, mode: Mode) -> list[tuple[Part, float, Conditions, dsl.M
     found: list[tuple[Part, float, Conditions, dsl.Mode | None]] = [
         (*cell, None) for plan, wanted in plans if wanted for cell in cells_of(plan, mode)
     ]
-    levels = {level for row in rows for gap in everything.table_1.gaps for level in gap.clearance_mm}
-    alone: list[tuple[float, dsl.Mode | None]] = [
-        (level, None) for level in sorted(levels) if name in [row.reproduction(level) for row in rows]
-    ]
-    for row in everything.force.rows:
-        if row.results == name:
-            alone += [(level, row.lock) for level in everything.force.clearance_mm]
-    return found + [("tr", metres(level), conditions_for(mode), lock) for level, lock in alone]
+    drawn = conditions_for(mode)
+    for level in sorted({level for gap in everything.table_1.gaps for level in gap.clearance_mm}):
+        if name in [row.reproduction(level) for row in rows]:
+            found.append(("tr", metres(level), drawn, None))
+    for locked in everything.force.rows:
+        if locked.results == name:
+            found += [("tr", metres(level), drawn, locked.lock) for level in everything.force.clearance_mm]
+    return found

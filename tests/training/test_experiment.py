@@ -115,6 +115,7 @@ def test_a_law_of_its_own_goes_into_the_contract(tmp_path: Path) -> None:
         ("[task]", '[task]\nmode = "VM"', r"VM bypasses the lock"),
         ("[task]", '[task]\nmode = "FTM"', r"too far from the nominal centre"),
         ("[task]", '[task]\nreward = "praise"', r"task\.reward: "),
+        ("[task]", '[task]\nconditions = "transfer"', r"randomise_plant must be false"),
         ("[task]", "[policy]\nwrench_window_ticks = 51\n[task]", r"wrench_window_ticks is 51, a step has 50 ticks"),
         ("[task]", "[tusk]", r"tusk: Extra inputs.*|task: Field required"),
         ('"Minimal"', '"Minimal', r"cannot read"),

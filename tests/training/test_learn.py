@@ -15,7 +15,7 @@ from training.evaluate import evaluate  # noqa: E402
 from training.experiment import Experiment, ExperimentError  # noqa: E402
 from training.export import to_onnx  # noqa: E402
 from training.learn import TrainingError, learn, untrained  # noqa: E402
-from training.run import CheckpointError, Run, read  # noqa: E402
+from training.run import CheckpointError, Run, read, save  # noqa: E402
 
 EASY = {"clearance_mm": [3.0, 3.0], "lock": "off", "conditions": "easy", "randomise_plant": False, "max_steps": 80}
 """Without a lock the policy itself must find out to go down."""
@@ -126,6 +126,17 @@ def test_a_training_goes_on_from_where_it_ended_and_counts_on(tmp_path: Path) ->
     assert [s["steps"] for s in json.loads((tmp_path / "run.json").read_text())["sessions"]] == [0, 32]
     assert read(run.checkpoint)["optimiser"]["state"][0]["step"] == 2
     assert [r["elapsed_s"] for r in run.records()] == sorted(r["elapsed_s"] for r in run.records())
+
+
+def test_scores_of_another_evaluation_do_not_keep_better_weights_out(tmp_path: Path) -> None:
+    half = experiment(algorithm={"steps": 32})
+    for evaluation, kept in (({"every_steps": 16}, 32), ({"clearances_mm": [2.0]}, 64)):
+        directory = tmp_path / str(kept)
+        learn(Run(half, 0, directory))
+        best = directory / "best.pt"
+        save(best, read(best) | {"score": [2.0, 0.0], "steps": 32})  # beyond what any evaluation gives
+        learn(Run(experiment(evaluation=evaluation), 0, directory))
+        assert read(best)["steps"] == kept
 
 
 def test_a_session_that_is_out_of_time_leaves_the_rest_to_the_next(tmp_path: Path) -> None:

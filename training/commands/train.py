@@ -50,7 +50,7 @@ def train(
                 typer.echo(f"interrupted; the same command goes on from {run.checkpoint}", err=True)
                 raise typer.Exit(EXIT_INTERRUPTED) from None
             typer.echo(
-                f"{_state(asked, run.steps)} in {run.directory}; next: dsl-assembly export {asked.name} OUT.onnx"
+                f"{_state(asked, run.steps)} in {run.directory}; next: dsl-assembly export {asked.name} OUT.onnx --seed {one}"
             )
     except (ExperimentError, CheckpointError, TrainingError, WorkerError) as error:
         _fail(str(error))
