@@ -243,5 +243,6 @@ def reported(name: str, mode: Mode) -> list[tuple[Part, float, Conditions, dsl.M
             found.append(("tr", metres(level), drawn, None))
     for locked in everything.force.rows:
         if locked.results == name:
-            found += [("tr", metres(level), drawn, locked.lock) for level in everything.force.clearance_mm]
+            for level in everything.force.clearance_mm:
+                found.append(("tr", metres(level), drawn, locked.lock))
     return found
