@@ -49,9 +49,8 @@ def train(
             except KeyboardInterrupt:
                 typer.echo(f"interrupted; the same command goes on from {run.checkpoint}", err=True)
                 raise typer.Exit(EXIT_INTERRUPTED) from None
-            typer.echo(
-                f"{_state(asked, run.steps)} in {run.directory}; next: dsl-assembly export {asked.name} OUT.onnx --seed {one}"
-            )
+            then = f"dsl-assembly export {asked.name} OUT.onnx --seed {one}"
+            typer.echo(f"{_state(asked, run.steps)} in {run.directory}; next: {then}")
     except (ExperimentError, CheckpointError, TrainingError, WorkerError) as error:
         _fail(str(error))
 

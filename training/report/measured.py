@@ -53,7 +53,7 @@ class Measured:
         lock: dsl.Mode | None = None,
         through: Through = "environment",
     ) -> Block | None:
-        """The largest measurement of a policy on test seeds, at the standard ceiling and in the paper's reward, or None.
+        """The largest measurement of a policy on test seeds, at the standard ceiling, returns the paper's; or None.
 
         Args:
             name: of its results.
