@@ -15,12 +15,12 @@ from tqdm import tqdm
 
 from training import ppo
 from training.cells import make_cells
-from training.experiment import Experiment
+from training.experiment import Experiment, ExperimentError
 from training.export import network_of, to_onnx
 from training.network import ActorCritic
 from training.parallel import start
 from training.rollout import Collector, Rollout
-from training.run import CheckpointError, Run, directory_of, read, save
+from training.run import CheckpointError, Run, contract_in, directory_of, read, save
 from training.validation import score, validate
 from training.vector import Ended
 
@@ -80,6 +80,7 @@ class _Training:
             self._load(start_from or self._named_start())
             run.open(0)
         else:
+            self._check_contract(checkpoint)
             run.open(checkpoint["steps"])
             self._restore(checkpoint)
         self._cells = start(partial(make_cells, self._experiment, run.seed, self._steps), self._algorithm.workers)
@@ -197,6 +198,15 @@ class _Training:
                 "random": torch.get_rng_state(),
             },
         )
+
+    def _check_contract(self, document: dict[str, Any]) -> None:
+        """Raise ExperimentError if the code gives the same experiment another contract than it had, but for its use."""
+        now, then = self._contract, contract_in(document)
+        if then is None or then.model_copy(update={"parts": now.parts, "clearance_m": now.clearance_m}) != now:
+            raise ExperimentError(
+                f"{self._run.checkpoint} was trained under another contract than {now.name!r} has by now: "
+                f"move {self._run.directory} away, or give the experiment another name"
+            )
 
     def _restore(self, document: dict[str, Any]) -> None:
         self.network.load_state_dict(document["net"])

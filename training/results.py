@@ -25,6 +25,8 @@ RESULTS = Path("results")
 SCHEMA_VERSION = 1
 WILSON_Z = 1.959964
 """For a 95 % interval."""
+CEILING_N = 30.0
+"""Force ceiling of the standard recipe."""
 Through = Literal["environment", "zenoh", "rtde"]
 """What played the episodes: the batched environment; the deployed service with the simulated arm over Zenoh; the same
 with an emulated UR controller over RTDE."""
@@ -101,7 +103,7 @@ class Setting:
     lock: dsl.Mode
     through: Through = "environment"
     reward: RewardName = "paper"
-    force_ceiling_n: float = 30.0
+    force_ceiling_n: float = CEILING_N
     first_seed: int
 
 

@@ -146,6 +146,8 @@ def test_recorded_figures_change_the_file_and_its_results_go_with_it(here: Path,
         (["model.onnx", "--lock", "bolt"], "--lock must be one of"),
         (["model.onnx", "--lock", "off", "--through", "zenoh"], "under its own lock"),
         (["model.onnx", "--lock", "peck", "--episodes", "1"], "peck"),
+        (["model.onnx", "--lock", "off", "--record"], "--record is for 'tr' under the policy's own lock"),
+        (["model.onnx", "--plan", "table-2", "--record"], "--record is for 'tr'"),
     ],
 )
 def test_what_cannot_be_measured_is_refused_with_a_reason_and_leaves_nothing(

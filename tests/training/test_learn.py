@@ -9,6 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
 
+from service.policy.contract import PolicyContract  # noqa: E402
 from service.policy.model import Policy  # noqa: E402
 from training import ppo  # noqa: E402
 from training.evaluate import evaluate  # noqa: E402
@@ -161,6 +162,21 @@ def test_another_experiment_does_not_go_on_in_the_same_folder(tmp_path: Path) ->
     with pytest.raises(ExperimentError, match=r"other settings \(algorithm\.gamma, task\.reward\)"):
         learn(Run(experiment(algorithm={"gamma": 0.9}, task={"reward": "paper"}), 0, tmp_path))
     assert (tmp_path / "progress.jsonl").read_text() == progress
+
+
+def test_a_contract_that_the_code_has_changed_meanwhile_is_not_trained_on_under(tmp_path: Path) -> None:
+    run = Run(experiment(algorithm={"steps": 32}), 0, tmp_path)
+    learn(run)
+    checkpoint = read(run.checkpoint)
+    trained = PolicyContract.from_json(checkpoint["contract"])
+    save(run.checkpoint, checkpoint | {"contract": trained.model_copy(update={"wrench_window_ticks": 7}).to_json()})
+    before = run.records()
+    with pytest.raises(ExperimentError, match="another contract"):
+        learn(Run(experiment(), 0, tmp_path))
+    assert run.records() == before
+    save(run.checkpoint, checkpoint | {"contract": trained.model_copy(update={"clearance_m": (1e-3, 5e-3)}).to_json()})
+    learn(Run(experiment(), 0, tmp_path))
+    assert run.steps == 64
 
 
 def test_a_training_that_diverges_says_so_and_keeps_the_weights_from_before(

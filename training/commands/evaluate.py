@@ -14,7 +14,18 @@ from service.safety import dsl
 from sim_backend.protocol.task import Conditions, Part, Task
 from training import evaluate as evaluation
 from training import paper, provenance, through_service
-from training.results import HEADER, RESULTS, Block, EpisodeResult, Results, ResultsError, Session, Setting, Through
+from training.results import (
+    CEILING_N,
+    HEADER,
+    RESULTS,
+    Block,
+    EpisodeResult,
+    Results,
+    ResultsError,
+    Session,
+    Setting,
+    Through,
+)
 from training.reward import RewardName
 
 EXIT_USAGE = 2
@@ -35,7 +46,7 @@ def evaluate(
     ] = "environment",
     lock: Annotated[str, typer.Option(help="Run under another lock than the policy's: paper, sliding or off.")] = "",
     reward: Annotated[RewardName, typer.Option(help="That returns are sums of.")] = "paper",
-    force_ceiling: Annotated[float, typer.Option(help="N; an episode ends there.")] = 30.0,
+    force_ceiling: Annotated[float, typer.Option(help="N; an episode ends there.")] = CEILING_N,
     first_seed: Annotated[int, typer.Option(min=0, help="Seeds count up from here.")] = evaluation.FIRST_TEST_SEED,
     workers: Annotated[int, typer.Option(min=0, help="Processes; 0: one per core. The service runs alone.")] = 0,
     name: Annotated[str, typer.Option(help="Of the results; default: the file's.")] = "",
@@ -68,6 +79,8 @@ def evaluate(
             force_ceiling_n=force_ceiling,
             first_seed=first_seed,
         )
+        if record:
+            _check_recordable(policy, settings)
         path = results / f"{name or model.stem}.json"
         measured = measure(model, policy, settings, path, episodes, workers, anew=anew)
     except (PolicyError, ResultsError, ValueError, through_service.ServiceError) as error:
@@ -180,6 +193,22 @@ def _settings(
         Task(setting.first_seed, setting.part, setting.clearance_m, setting.conditions).check()
         evaluation.with_lock(contract, setting)
     return list(dict.fromkeys(settings))
+
+
+def _check_recordable(policy: Policy, settings: Sequence[Setting]) -> None:
+    """Raise ValueError for what a contract, whose figures name clearance and conditions alone, would misstate."""
+    usual = {
+        "part": policy.contract.parts[0],
+        "lock": policy.contract.dsl.mode,
+        "through": "environment",
+        "force_ceiling_n": CEILING_N,
+        "first_seed": evaluation.FIRST_TEST_SEED,
+    }
+    if any(getattr(setting, name) != value for setting in settings for name, value in usual.items()):
+        raise ValueError(
+            f"--record is for {usual['part']!r} under the policy's own lock in the environment, with the test's seeds "
+            f"and a ceiling of {usual['force_ceiling_n']:g} N: the contract's figures name nothing of that"
+        )
 
 
 def _known(policy: Policy, path: Path, anew: bool) -> Results:

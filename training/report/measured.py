@@ -12,13 +12,11 @@ from training import paper
 from training.evaluate import FIRST_TEST_SEED
 from training.report import curves
 from training.report.curves import Curve
-from training.results import Block, Results, Through
+from training.results import CEILING_N, Block, Results, Through
 
 NOT_MEASURED = "not measured"
 EPISODES = 500
 """The paper's count of tests per figure of Table I; a figure from fewer says so."""
-CEILING_N = 30.0
-"""Force ceiling of the standard recipe, at which every figure is taken."""
 
 
 @dataclass(frozen=True, slots=True)
