@@ -27,6 +27,7 @@ class Point(Section):
         elapsed_s: host time until then, evaluations included.
         clearance_mm: per face.
         part: peg and hole.
+        conditions: distributions of its episodes.
         success: rate.
         return_mean: of the episodes' returns, in the experiment's own reward.
     """
@@ -35,6 +36,7 @@ class Point(Section):
     elapsed_s: float
     clearance_mm: float
     part: str
+    conditions: str
     success: float
     return_mean: float
 
@@ -98,6 +100,7 @@ class Curve(Section):
                 elapsed_s=record["elapsed_s"],
                 clearance_mm=round(record["clearance_m"] * 1e3, 3),
                 part=record["part"],
+                conditions=record["conditions"],
                 success=record["successes"] / record["episodes"],
                 return_mean=record["return_mean"],
             )

@@ -157,14 +157,15 @@ def _time_to_the_paper(measured: Measured, comparison: Comparison) -> Iterator[B
     lines: list[list[str | Judged]] = []
     for level in comparison.strength.levels:
         for curve in measured.curves:
-            trained = any(point.clearance_mm == level.clearance_mm for point in curve.evaluations)
-            if level.paper is None or not trained:
+            judged = [point for point in curve.evaluations if point.clearance_mm == level.clearance_mm]
+            if level.paper is None or not judged:
                 continue
             point = curve.reached(level.paper, level.clearance_mm)
             reached = (
                 ("not reached", "–") if point is None else (f"{point.steps / 1e6:.2f} M", duration(point.elapsed_s))
             )
-            about = (f"{level.clearance_mm:g} mm", printed(level.paper), curve.label, str(curve.seed))
+            where = f"{level.clearance_mm:g} mm, `{judged[0].conditions}`"
+            about = (where, printed(level.paper), curve.label, str(curve.seed))
             rate = f"{curve.steps / curve.elapsed_s:.0f}" if curve.elapsed_s else "–"
             lines.append([*about, *reached, rate, curve.machine])
     if not lines:
@@ -175,7 +176,16 @@ def _time_to_the_paper(measured: Measured, comparison: Comparison) -> Iterator[B
         "evaluations and other work on the machine included. Where a training began with another one's weights, that "
         "one's steps and time come on top. The author's trainings took 3 to 5 hours for 2 M steps."
     )
-    header = ["c", "the paper", "experiment", "seed", "reached after, steps", "wall-clock", "steps/s", "machine"]
+    header = [
+        "c, conditions",
+        "the paper",
+        "experiment",
+        "seed",
+        "reached after, steps",
+        "wall-clock",
+        "steps/s",
+        "machine",
+    ]
     yield Table(header, lines)
 
 

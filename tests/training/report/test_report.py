@@ -211,6 +211,7 @@ def run_folder(folder: Path, name: str = "paper-vftm-c133") -> Path:
         evaluation = {
             "part": "tr",
             "clearance_m": 1.33e-3,
+            "conditions": "standard",
             "episodes": 10,
             "successes": steps // 1000,
             "return_mean": -1,
@@ -244,7 +245,7 @@ def test_the_time_to_the_papers_success_is_that_of_the_first_evaluation_that_has
     late = [{**lines[1], "steps": 500_000 * n, "elapsed_s": 100.0 * n, "successes": 7 + n} for n in range(1, 4)]
     (folder / "progress.jsonl").write_text("".join(json.dumps(line) + "\n" for line in [*lines, *late]))
     (curve,) = [curve for curve in [curves.Curve.of_run(folder)] if curve is not None]
-    row = line_with(told(Measured({}, (curve,))), "1.33 mm | 88.57 % | `paper-vftm-c133` | 3")
+    row = line_with(told(Measured({}, (curve,))), "1.33 mm, `standard` | 88.57 % | `paper-vftm-c133` | 3")
     assert "| 1.00 M | 3 min |" in row
     continued = curve.model_copy(update={"start_from": "easier"})
     line_with(told(Measured({}, (continued,))), "| 88.57 % | `paper-vftm-c133`, after `easier` | 3 |")
