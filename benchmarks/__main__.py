@@ -1,9 +1,9 @@
 """Command line of the benchmarks: run all or some, print the tables, save them."""
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Protocol, cast
+from typing import Annotated, Any, Protocol, cast
 
 import typer
 from rich.console import Console
@@ -12,7 +12,7 @@ from benchmarks import machine, report
 from benchmarks.result import Result, UnavailableError
 
 BENCHMARKS = (
-    *("tick", "stop_latency", "round_trip", "lockstep", "lateness", "throughput", "training_share"),
+    *("tick", "stop_latency", "round_trip", "lockstep", "lateness", "throughput", "training_share", "peers"),
     *("rtde", "emulator", "ur_client", "ur_stop", "ur_ceiling", "ur_silence"),
 )
 FOLDER = Path(__file__).parent / "results"
@@ -21,8 +21,8 @@ FOLDER = Path(__file__).parent / "results"
 class Benchmark(Protocol):
     """A module of this package with one measurement."""
 
-    def measure(self, scale: float) -> Result:
-        """Measure; `scale` multiplies the number of repetitions."""
+    def measure(self, scale: float, **given: Any) -> Result:
+        """Measure; `scale` multiplies the number of repetitions, `given` is what only this one is told."""
         ...
 
 
@@ -32,6 +32,9 @@ def run(
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A tenth of the repetitions; nothing is saved.")] = False,
     out: Annotated[Path, typer.Option(help="Folder for latest.md and latest.json.")] = FOLDER,
+    peers_python: Annotated[
+        Path | None, typer.Option(exists=True, dir_okay=False, help="Python that has robosuite, Gymnasium-Robotics.")
+    ] = None,
 ) -> None:
     """Measure, print and save."""
     console = Console()
@@ -41,13 +44,14 @@ def run(
         raise typer.Exit(2)
     taken = machine.conditions()
     console.print(", ".join(f"{name} {value}" for name, value in taken.items()), highlight=False)
+    given = {"peers": {"python": peers_python}}
     results: dict[str, Result] = {}
     written: Sequence[Path] = ()
     failed = False
     for name in wanted:
         load = machine.load()
         with console.status(f"{name} …"):
-            results[name], ran = _measure(console, name, 0.1 if quick else 1.0)
+            results[name], ran = _measure(console, name, 0.1 if quick else 1.0, given.get(name, {}))
         failed |= not ran
         taken[f"load at {name}"] = load
         report.show(console, name, results[name])
@@ -58,11 +62,11 @@ def run(
     raise typer.Exit(int(failed))
 
 
-def _measure(console: Console, name: str, scale: float) -> tuple[Result, bool]:
+def _measure(console: Console, name: str, scale: float, given: Mapping[str, Any]) -> tuple[Result, bool]:
     """Return the result and whether the benchmark ran without an error of its own."""
     try:
         module = cast("Benchmark", importlib.import_module(f"benchmarks.{name}"))
-        return module.measure(scale), True
+        return module.measure(scale, **given), True
     except UnavailableError as error:
         return Result(question="", missing=str(error)), True
     except Exception as error:  # one that fails must not cost the results of the others
