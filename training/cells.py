@@ -19,6 +19,7 @@ def make_cells(experiment: Experiment, seed: int, steps: int, worker: int) -> En
         part,
         force_ceiling_n=task.force_ceiling_n,
         reward_name=task.reward,
+        force_cost_per_n=task.force_cost_per_n,
     )
     source = TaskSource(part, task.clearance_m, task.conditions, task.randomise_plant)
     return EndlessInsertions(insertions, source, [seed, worker, steps])

@@ -15,7 +15,7 @@ from service.policy.observation import Mode
 from service.safety import dsl
 from sim_backend.protocol.task import Conditions, Part, Task
 from training import design
-from training.reward import RewardName
+from training.reward import FORCE_COST_PER_N, RewardName
 
 FOLDER = Path(__file__).parent / "experiments"
 
@@ -45,6 +45,7 @@ class TaskSection(Section):
         conditions: distributions of an episode, see `docs/conditions.md`.
         randomise_plant: friction, stiffness, delay and mass vary.
         reward: of `training.reward`.
+        force_cost_per_n: in the reward `potential`, per step and newton of peak force above 12 N.
         max_steps: of an episode.
         force_ceiling_n: resultant that ends an episode in a fault.
     """
@@ -56,6 +57,7 @@ class TaskSection(Section):
     conditions: Conditions = "standard"
     randomise_plant: bool = True
     reward: RewardName = "potential"
+    force_cost_per_n: NotNegative = FORCE_COST_PER_N
     max_steps: Count = design.MAX_STEPS
     force_ceiling_n: Positive = 30.0
 

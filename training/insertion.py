@@ -80,6 +80,7 @@ class Insertions:
         threads: that step the physics.
         force_ceiling_n: resultant at which the cell stops, N.
         reward_name: which reward.
+        force_cost_per_n: in the reward `potential`, per step and newton above `reward.FORCE_FREE_N`.
     """
 
     def __init__(
@@ -90,11 +91,13 @@ class Insertions:
         threads: int = 1,
         force_ceiling_n: float = 30.0,
         reward_name: RewardName = "potential",
+        force_cost_per_n: float = reward.FORCE_COST_PER_N,
     ) -> None:
         self.contract = contract
         self.n = n
         self.world = World(n, part, threads)
         self._reward_name = reward_name
+        self._force_cost_per_n = force_cost_per_n
         self._limits = Limits(force_ceiling_n=force_ceiling_n)
         law = contract.compliance
         self._law = np.array(law.stiffness), np.array(law.damping), np.array(law.inertia)
@@ -195,7 +198,7 @@ class Insertions:
         if self._reward_name == "paper":
             earned = reward.paper_reward(situation)
         else:
-            earned = reward.potential_reward(self._potential, after, situation)
+            earned = reward.potential_reward(self._potential, after, situation, self._force_cost_per_n)
         self._potential = after
         return Outcome(
             observation=self.observation,

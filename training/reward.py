@@ -57,12 +57,14 @@ def potential(situation: Situation, goal_depth_m: float) -> Array:
     return -(distance / OFFSET_SCALE_M + np.abs(situation.yaw_error) / YAW_SCALE_RAD + height / HEIGHT_SCALE_M)
 
 
-def potential_reward(before: Array, after: Array, situation: Situation) -> Array:
+def potential_reward(
+    before: Array, after: Array, situation: Situation, force_cost_per_n: float = FORCE_COST_PER_N
+) -> Array:
     """Change of the potential, a cost per step and per newton of peak force, a bonus for success, a cost for a fault.
 
     The change is taken without a discount: with a negative potential, a discount in it pays for standing still.
     """
-    pressing = np.clip(FORCE_COST_PER_N * (situation.peak_force - FORCE_FREE_N), 0.0, FORCE_COST_MAX)
+    pressing = np.clip(force_cost_per_n * (situation.peak_force - FORCE_FREE_N), 0.0, FORCE_COST_MAX)
     return (after - before) - STEP_COST - pressing + SUCCESS_BONUS * situation.success - FAULT_COST * situation.fault
 
 
