@@ -1,10 +1,11 @@
-"""`report`: what was measured, beside the paper, as one HTML page and as Markdown."""
+"""`report`: what was measured, beside the paper, as one HTML page and as Markdown; and a card for every model."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from service.policy.model import PolicyError
 from training.results import RESULTS, ResultsError
 
 EXIT_USAGE = 2
@@ -15,13 +16,16 @@ def report(
     runs: Annotated[Path, typer.Option(help="Folder of trainings, whose learning curves are kept beside them.")] = Path(
         "var/training"
     ),
-    out: Annotated[Path, typer.Option(help="Folder for results.html, results.md and pictures/results/.")] = Path(
-        "docs"
+    out: Annotated[
+        Path, typer.Option(help="Folder for results.html, results.md, models.md and pictures/results/.")
+    ] = Path("docs"),
+    models: Annotated[Path, typer.Option(help="Folder of the policies; without any there is no models.md.")] = Path(
+        "models"
     ),
 ) -> None:
-    """Write the report of everything in the folder of results; nothing is run."""
+    """Write the report of everything in the folder of results, and the models' cards; nothing is run."""
     try:
-        from training.report import curves, writing
+        from training.report import cards, curves, writing
         from training.report.measured import Measured
     except ImportError as error:
         typer.echo(f"report: it needs the extra `training` ({error}): make setup-training", err=True)
@@ -29,9 +33,14 @@ def report(
     try:
         kept = curves.collect(runs, results)
         measured = Measured.read(results)
+        shipped = cards.read(models, measured)
         files = writing.write(writing.document(measured), out)
-    except ResultsError as error:
+    except (ResultsError, PolicyError) as error:
         typer.echo(f"report: {error}", err=True)
         raise typer.Exit(EXIT_USAGE) from error
     typer.echo(f"{len(measured.results)} policies, {len(measured.curves)} trainings ({kept} of them new or newer)")
     typer.echo(f"wrote {files[0]}, {files[1]} and {len(files) - 2} pictures")
+    if shipped:
+        typer.echo(f"wrote {cards.write(shipped, out)}: cards of {len(shipped)} models")
+    else:
+        typer.echo(f"no policies in {models}: no {cards.PAGE}")

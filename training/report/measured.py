@@ -128,6 +128,11 @@ def signed(value: float) -> str:
     return f"{value:.4f}".replace("-", "−")
 
 
+def commit_name(commit: str | None) -> str:
+    """A commit, shortened, with its mark."""
+    return "unknown" if commit is None else commit[:9] + ("-dirty" if commit.endswith("-dirty") else "")
+
+
 def duration(seconds: float) -> str:
     """A wall-clock time as text."""
     if seconds < 90:

@@ -12,6 +12,7 @@ from training.report.document import Block, Heading, Judged, Paragraph, Picture,
 from training.report.measured import (
     NOT_MEASURED,
     Measured,
+    commit_name,
     deep_success,
     duration,
     interval,
@@ -113,7 +114,7 @@ def conditions(measured: Measured, comparison: Comparison) -> Iterator[Block]:
         span = days[0] if days[0] == days[-1] else f"{days[0]} to {days[-1]}"
         packages = sorted({f"{name} {number}" for s in sessions for name, number in s.versions.items()})
         machines = sorted({session.machine for session in sessions})
-        commits = sorted({f"`{_commit(session.commit)}`" for session in sessions})
+        commits = sorted({f"`{commit_name(session.commit)}`" for session in sessions})
         yield Paragraph(
             f"Measured {span} on {' and '.join(machines)}, with {', '.join(packages)}, at {', '.join(commits)}."
         )
@@ -314,7 +315,7 @@ def everything(measured: Measured) -> Iterator[Block]:
                 f"{curve.steps / 1e6:.2f} M",
                 duration(curve.elapsed_s),
                 f"{curve.steps / curve.elapsed_s:.0f}" if curve.elapsed_s else "–",
-                f"`{_commit(curve.commit)}`",
+                f"`{commit_name(curve.commit)}`",
                 curve.machine,
             ]
             for curve in measured.curves
@@ -327,7 +328,7 @@ def everything(measured: Measured) -> Iterator[Block]:
 
 def _row(name: str, results: Results, block: Measurement) -> list[str | Judged]:
     setting = block.setting
-    commits = dict.fromkeys(f"`{_commit(session.commit)}`" for session in block.sessions)
+    commits = dict.fromkeys(f"`{commit_name(session.commit)}`" for session in block.sessions)
     machines = dict.fromkeys(session.machine for session in block.sessions)
     lock: dsl.Mode = setting.lock
     return [
@@ -347,11 +348,6 @@ def _row(name: str, results: Results, block: Measurement) -> list[str | Judged]:
         ", ".join(commits) or "–",
         ", ".join(machines) or "–",
     ]
-
-
-def _commit(commit: str | None) -> str:
-    """A commit, shortened, with its mark."""
-    return "unknown" if commit is None else commit[:9] + ("-dirty" if commit.endswith("-dirty") else "")
 
 
 def _met(met: bool) -> Judged:

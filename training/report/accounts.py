@@ -1,0 +1,150 @@
+"""How a policy was trained, from its contract's provenance: in words where `export` wrote it, else as it stands."""
+
+from collections.abc import Iterator, Mapping
+
+from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+
+from training.report.document import Block, Paragraph, Table
+from training.report.measured import commit_name, duration, percent
+
+
+class Section(BaseModel):
+    """What is read of a part of an account; whatever else it says is left out."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class Task(Section):
+    parts: tuple[str, ...]
+    clearance_mm: tuple[float, float]
+    conditions: str
+    randomise_plant: bool
+    reward: str
+    force_ceiling_n: float
+
+
+class Algorithm(Section):
+    memory: str
+    steps: int
+    cells: int
+
+
+class Experiment(Section):
+    name: str
+    title: str
+    task: Task
+    algorithm: Algorithm
+    start_from: str | None = None
+
+
+class Session(Section):
+    steps: int
+    began: str
+    commit: str | None
+    machine: str
+
+
+class Validation(Section):
+    part: str
+    clearance_m: float
+    conditions: str
+    episodes: int
+    successes: int
+
+
+class Account(Section):
+    """What `dsl-assembly export` writes into a contract.
+
+    Attributes:
+        experiment: that was trained.
+        seed: of network, exploration and tasks.
+        sessions: of the training.
+        steps: environment steps after which these weights were kept.
+        elapsed_s: host time until then; None: not known.
+        validation: for which they were kept; empty: not known.
+    """
+
+    experiment: Experiment
+    seed: int
+    sessions: tuple[Session, ...]
+    steps: int
+    elapsed_s: float | None = None
+    validation: tuple[Validation, ...] = ()
+
+
+def account(provenance: Mapping[str, JsonValue]) -> Account | None:
+    """Read a provenance; None where something else wrote it."""
+    try:
+        return Account.model_validate(provenance)
+    except ValidationError:
+        return None
+
+
+def told(provenance: Mapping[str, JsonValue]) -> Iterator[Block]:
+    """Say how a policy was trained."""
+    known = account(provenance)
+    if known is not None:
+        yield from _in_words(known)
+    elif provenance:
+        yield Table(["provenance in the file", ""], [[f"`{name}`", text] for name, text in _flat(provenance)])
+    else:
+        yield Paragraph("The file does not say.")
+
+
+def _in_words(known: Account) -> Iterator[Block]:
+    experiment, task = known.experiment, known.experiment.task
+    low, high = task.clearance_mm
+    began = f", begun with the best weights of `{experiment.start_from}`" if experiment.start_from else ""
+    spent = "" if known.elapsed_s is None else f" and {duration(known.elapsed_s)}"
+    plant = "randomised" if task.randomise_plant else "nominal"
+    yield Paragraph(
+        f"Experiment `{experiment.name}` ({_escaped(experiment.title)}), seed {known.seed}{began}. "
+        f"Trained on {', '.join(task.parts)} at {low:g} to {high:g} mm per face, conditions `{task.conditions}`, plant "
+        f"{plant}, reward `{task.reward}`, ceiling {task.force_ceiling_n:g} N; memory `{experiment.algorithm.memory}`, "
+        f"{experiment.algorithm.cells} cells. The weights are those after {known.steps / 1e6:.2f} of "
+        f"{experiment.algorithm.steps / 1e6:.2f} million steps{spent} of that experiment."
+    )
+    if known.validation:
+        rates = [
+            f"{v.part} at {v.clearance_m * 1e3:.2f} mm, `{v.conditions}`: {percent(v.successes / v.episodes)} "
+            f"of {v.episodes}"
+            for v in known.validation
+        ]
+        yield Paragraph(
+            "They were chosen by these rates, on seeds apart from the tests', and the choice flatters them: "
+            f"{'; '.join(rates)}."
+        )
+    yield Table(
+        ["session from step", "began", "commit", "machine"],
+        [
+            [str(session.steps), session.began, f"`{commit_name(session.commit)}`", session.machine]
+            for session in known.sessions
+        ],
+    )
+
+
+def _flat(values: Mapping[str, JsonValue], path: str = "") -> Iterator[tuple[str, str]]:
+    """Every plain value by its path; the plain values of an inner object together."""
+    plain = {name: _plain(value) for name, value in values.items() if not isinstance(value, dict)}
+    if path and plain:
+        yield path, ", ".join(f"{name} {text}" for name, text in plain.items())
+    elif plain:
+        yield from plain.items()
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{path}.{name}" if path else name)
+
+
+def _plain(value: JsonValue) -> str:
+    if isinstance(value, list):
+        return f"({', '.join(map(_plain, value))})"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "none" if value is None else _escaped(str(value))
+
+
+def _escaped(text: str) -> str:
+    """Text from a file, so that it stays within its cell."""
+    return text.replace("|", "\\|").replace("\n", " ")

@@ -1,0 +1,391 @@
+"""Model cards: what every policy file is for, does and was measured to do, from its contract and its results alone.
+
+A sentence that neither of them can say is in `training/cards.toml`.
+"""
+
+import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from pydantic import BaseModel, ConfigDict
+
+from service.policy.contract import EvaluationFigure, PolicyContract
+from service.policy.model import Policy
+from service.policy.observation import ENTRIES, Need
+from service.safety import dsl
+from sim_backend.protocol.task import Part
+from training import paper
+from training.report import accounts
+from training.report.document import Block, Document, Heading, Judged, Paragraph, Table
+from training.report.measured import NOT_MEASURED, Measured, commit_name, interval, mean_steps, peaks, percent
+from training.report.own_chapters import THROUGH
+from training.results import Block as Measurement
+from training.results import Results
+
+TITLE = "Models"
+PAGE = "models.md"
+GLANCE_MM = (1.33, 0.33)
+"""Clearances per face of the first table: the paper's two gaps."""
+USUAL_LOCKS: tuple[dsl.Mode, ...] = ("paper", "peck")
+"""Those that a recipe runs unless it says otherwise."""
+
+MODES = {
+    "VFTM": "knows hole and contact",
+    "FTM": "knows the contact; for the hole stands its nominal centre",
+    "VM": "knows the hole and nothing of the contact",
+}
+LOCKS: Mapping[dsl.Mode, str] = {
+    "paper": "the paper's Algorithm 1, creeping down until contact and from there limiting how deep the policy may ask",
+    "peck": "creeps down until contact; from there it presses, feels and lifts, and the policy has no z",
+    "sliding": "creeps down until contact; from there the policy owns z, and the lock limits nothing",
+    "off": "the command is the policy's from the beginning",
+}
+NEEDS = {
+    Need.FORCE_TORQUE: "a force/torque sensor",
+    Need.HOLE: "a camera's estimate of the hole",
+    Need.LAST_JOINT: "the last joint's angle",
+}
+
+
+class Note(BaseModel):
+    """What only a person can say of a model."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    use: str = ""
+    weakness: str = ""
+
+
+UNKNOWN = Note()
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """A policy file with what is known of it.
+
+    Attributes:
+        name: of the file, without its ending.
+        size_bytes: of the file.
+        sha256: of the file.
+        contract: in the file.
+        results: of this very file; None: there are none.
+        foreign_sha256: of the file that the results of this name belong to, where that is another one.
+        note: what only a person can say.
+    """
+
+    name: str
+    size_bytes: int
+    sha256: str
+    contract: PolicyContract
+    results: Results | None
+    foreign_sha256: str | None = None
+    note: Note = UNKNOWN
+
+    @property
+    def needs(self) -> list[str]:
+        """What a cell must have to run it."""
+        needed = {need for entry in self.contract.observation for need in ENTRIES[entry.name].needs}
+        if self.contract.dsl.mode != "off":
+            needed.add(Need.FORCE_TORQUE)
+        if self.contract.mode == "FTM":
+            needed.discard(Need.HOLE)
+        return [text for need, text in NEEDS.items() if need in needed]
+
+    @property
+    def blocks(self) -> tuple[Measurement, ...]:
+        """Measurements with at least one episode."""
+        return () if self.results is None else tuple(block for block in self.results.blocks if block.episodes)
+
+    @property
+    def recorded(self) -> list[EvaluationFigure]:
+        """Figures in the file that do not follow from its results."""
+        known = [block.figure() for block in self.blocks]
+        return [figure for figure in self.contract.evaluation if figure not in known]
+
+
+def notes() -> dict[str, Note]:
+    """Read `training/cards.toml`: notes by the name of the model's file."""
+    document = tomllib.loads(Path(paper.__file__).with_name("cards.toml").read_text())
+    return {name: Note.model_validate(note) for name, note in document.items()}
+
+
+def read(models: Path, measured: Measured) -> list[Card]:
+    """Read every ONNX file of a folder; none if there is no such folder.
+
+    Raises:
+        PolicyError: a cell would refuse one of them.
+    """
+    said = notes()
+    found: list[Card] = []
+    for path in sorted(models.glob("*.onnx"), key=lambda path: path.stem):
+        policy = Policy.load(path)
+        results = measured.results.get(path.stem)
+        foreign = None if results is None or results.sha256 == policy.sha256 else results.sha256
+        found.append(
+            Card(
+                name=path.stem,
+                size_bytes=path.stat().st_size,
+                sha256=policy.sha256,
+                contract=policy.contract,
+                results=results if foreign is None else None,
+                foreign_sha256=foreign,
+                note=said.get(path.stem, UNKNOWN),
+            )
+        )
+    return found
+
+
+def write(cards: Sequence[Card], folder: Path) -> Path:
+    """Write the page of all cards; returns its file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / PAGE
+    path.write_text(document(cards).to_markdown(Path("pictures")))
+    return path
+
+
+def document(cards: Sequence[Card]) -> Document:
+    """The page of all cards: a table of them, and a section for each."""
+    return Document(TITLE, [*_glance(cards), *(block for card in cards for block in _section(card))])
+
+
+def _glance(cards: Sequence[Card]) -> Iterator[Block]:
+    size = sum(card.size_bytes for card in cards) / 1e3
+    yield Paragraph(
+        f"{len(cards)} policies, {size:.0f} kB in all. `dsl-assembly report` writes this page from each file's "
+        "contract ([policy-contract.md](policy-contract.md)) and from `results/`, and says nothing that they do not "
+        "say, but for the use and the known weakness of a model, which are in `training/cards.toml`. Results of another "
+        "file of the same name do not count."
+    )
+    yield Paragraph(
+        "All results are from simulation. Policies are deterministic; clearances are per face; intervals are 95 % "
+        "Wilson intervals; peak force is the largest resultant over every 2 ms sample of an episode. "
+        "[conditions.md](conditions.md) has the distributions behind the names of conditions, "
+        "[results.md](results.md) the comparison with the paper."
+    )
+    yield Heading("All models")
+    yield Paragraph(
+        "Success: of the first of its parts, under its own lock, in the conditions `standard` (FTM: `search`), in the "
+        "batched environment."
+    )
+    header = ["model", "mode", "lock", "parts", "clearance, mm", "memory", "kB"]
+    yield Table([*header, *(f"success at {level:g} mm" for level in GLANCE_MM)], [_glance_row(card) for card in cards])
+
+
+def _glance_row(card: Card) -> list[str | Judged]:
+    contract = card.contract
+    return [
+        f"[{card.name}](#{_github_anchor(card.name)})",
+        contract.mode,
+        contract.dsl.mode,
+        ", ".join(contract.parts),
+        _span_mm(contract.clearance_m),
+        str(contract.hidden_size or "none"),
+        f"{card.size_bytes / 1e3:.0f}",
+        *(_success(card, level) for level in GLANCE_MM),
+    ]
+
+
+def _success(card: Card, clearance_mm: float) -> str:
+    """Success at a clearance by the results, else by the file itself."""
+    part, clearance_m = cast(Part, card.contract.parts[0]), paper.metres(clearance_mm)
+    if card.results is not None:
+        block = Measured({card.name: card.results}, ()).block(card.name, clearance_mm, part)
+        if block is not None:
+            return _rate(block.figure())
+    conditions = paper.conditions_for(card.contract.mode)
+    for figure in card.recorded:
+        if figure.conditions == conditions and math.isclose(figure.clearance_m, clearance_m):
+            return f"{_rate(figure)}, recorded in the file"
+    return NOT_MEASURED
+
+
+def _section(card: Card) -> Iterator[Block]:
+    yield Heading(card.name)
+    yield from _use(card)
+    yield Heading("What it observes and does", 3)
+    yield from _behaviour(card.contract)
+    yield Heading("Lock and compliance", 3)
+    yield from _limits(card.contract)
+    yield Heading("How it was trained", 3)
+    yield from accounts.told(card.contract.provenance)
+    yield Heading("What was measured", 3)
+    yield from _measured(card)
+    yield Heading("Known limits", 3)
+    yield Paragraph(" ".join(_known_limits(card)))
+    renamed = f" (`{card.contract.name}` in its contract)" if card.contract.name != card.name else ""
+    yield Paragraph(f"File: `{card.name}.onnx`{renamed}, {card.size_bytes} bytes, SHA-256 `{card.sha256}`.")
+
+
+def _use(card: Card) -> Iterator[Block]:
+    contract = card.contract
+    if card.note.use:
+        yield Paragraph(card.note.use)
+    cell = f" in a cell with {' and '.join(card.needs)}" if card.needs else ""
+    text = (
+        f"**For** {', '.join(contract.parts)} at {_span_mm(contract.clearance_m)} mm{cell}. "
+        "**Not for** other parts or clearances, nor a cell without what it needs: a cell that knows of it refuses."
+    )
+    if contract.dsl.mode not in USUAL_LOCKS:
+        text += f' Nor for a recipe that does not ask for its lock by `allow_lock = ["{contract.dsl.mode}"]`.'
+    yield Paragraph(text)
+
+
+def _behaviour(contract: PolicyContract) -> Iterator[Block]:
+    felt = contract.wrench_window_ticks * contract.tick_s * 1e3
+    memory = (
+        f"It has a recurrent memory of {contract.hidden_size} numbers" if contract.hidden_size else "It has no memory"
+    )
+    yield Paragraph(
+        f"Mode {contract.mode}: it {MODES[contract.mode]}. {memory}; it is given {contract.observation_size} numbers. "
+        f"Force and torque, where it is given them, are of the newest {felt:g} ms of a step."
+    )
+    yield Table(
+        ["it observes", "unit", "axes", "frames", "meaning"],
+        [
+            [f"`{entry.name}`", entry.unit, entry.frame, str(entry.history), ENTRIES[entry.name].meaning]
+            for entry in contract.observation
+        ],
+    )
+    moves = [_move(entry.name, entry.limit, entry.frame) for entry in contract.action]
+    finer = [f"`{entry.name}`" for entry in contract.action if entry.map == "signed_square"]
+    longest = contract.max_steps * contract.period_s
+    yield Paragraph(
+        f"Every {contract.period_s:g} s, at most {contract.max_steps} times ({longest:g} s), it asks for a "
+        f"displacement from the measured pose: {', '.join(moves)}"
+        + (f"; finer near zero in {', '.join(finer)}." if finer else ".")
+    )
+
+
+def _move(name: str, limit: float, frame: str) -> str:
+    if name == "dyaw":
+        return f"`dyaw` up to {math.degrees(limit):.1f}°"
+    axes = f" in {frame} axes" if name != "dz" else ""
+    return f"`{name}` up to {limit * 1e3:g} mm{axes}"
+
+
+def _limits(contract: PolicyContract) -> Iterator[Block]:
+    lock, law = contract.dsl, contract.compliance
+    text = f"The lock `{lock.mode}`: {LOCKS[lock.mode]}."
+    if lock.mode != "off":
+        text += (
+            f" While it seeks it goes down by {lock.seek_step_m * 1e3:g} mm a step; contact counts from "
+            f"{lock.contact_threshold * lock.force_clip_n:g} N."
+        )
+    if lock.mode == "paper":
+        text += f" A command may go {lock.press_m * 1e3:g} mm below the lock."
+    if lock.mode == "peck":
+        text += f" A press goes {lock.press_m * 1e3:g} mm below the lock."
+    yield Paragraph(text)
+    yield Table(
+        ["compliance law about the TCP", "x", "y", "z", "about x", "about y", "about z"],
+        [
+            ["stiffness, N/m and N·m/rad", *(f"{value:g}" for value in law.stiffness)],
+            ["damping, N·s/m and N·m·s/rad", *(f"{value:g}" for value in law.damping)],
+            ["inertia, kg and kg·m²", *(f"{value:g}" for value in law.inertia)],
+        ],
+    )
+
+
+def _measured(card: Card) -> Iterator[Block]:
+    if card.foreign_sha256 is not None:
+        yield Paragraph(
+            f"`results/{card.name}.json` is of another file (SHA-256 `{card.foreign_sha256}`) and does not count here."
+        )
+    if not card.blocks and not card.recorded:
+        yield Paragraph("Not measured.")
+    if card.blocks:
+        sessions = [session for block in card.blocks for session in block.sessions]
+        commits = ", ".join(sorted({f"`{commit_name(session.commit)}`" for session in sessions}))
+        days = sorted({session.ended[:10] for session in sessions})
+        yield Paragraph(
+            (f"Measured {' to '.join(dict.fromkeys((days[0], days[-1])))} at {commits}. " if days else "")
+            + "Success: the peg's bottom more than 2.5 mm below the hole's mouth with the peg's axis inside the hole. "
+            "Faults: episodes that the force ceiling, or another fault, stopped."
+        )
+        header = ["part", "clearance", "conditions", "lock", "through", "ceiling", "seeds from", "success", "steps"]
+        yield Table(
+            [*header, "peak force, median / p99 / max, N", "faults"], [_block_row(block) for block in card.blocks]
+        )
+    if card.recorded:
+        yield Paragraph(
+            "Recorded in the file, which names neither part, lock and ceiling nor the version that was measured:"
+        )
+        yield Table(
+            ["clearance", "conditions", "success", "peak force, median / max, N"],
+            [
+                [f"{figure.clearance_m * 1e3:.2f} mm", f"`{figure.conditions}`", _rate(figure), _recorded_peaks(figure)]
+                for figure in card.recorded
+            ],
+        )
+
+
+def _block_row(block: Measurement) -> list[str | Judged]:
+    setting = block.setting
+    return [
+        setting.part,
+        f"{setting.clearance_m * 1e3:.2f} mm",
+        f"`{setting.conditions}`",
+        setting.lock,
+        THROUGH[setting.through],
+        f"{setting.force_ceiling_n:g} N",
+        str(setting.first_seed),
+        _rate(block.figure()),
+        mean_steps(block),
+        peaks(block),
+        str(sum(episode.fault for episode in block.episodes)),
+    ]
+
+
+def _recorded_peaks(figure: EvaluationFigure) -> str:
+    values = (figure.peak_force_median_n, figure.peak_force_max_n)
+    return " / ".join("–" if value is None else f"{value:.1f}" for value in values)
+
+
+def _known_limits(card: Card) -> Iterator[str]:
+    contract = card.contract
+    if card.note.weakness:
+        yield card.note.weakness
+    account = accounts.account(contract.provenance)
+    if account is not None:
+        task = account.experiment.task
+        beyond = [part for part in contract.parts if part not in task.parts]
+        low, high = task.clearance_mm
+        least, most = (value * 1e3 for value in contract.clearance_m)
+        before = " (what it began with aside)" if account.experiment.start_from else ""
+        if beyond:
+            yield f"Admitted for parts that it was not trained on{before}: {', '.join(beyond)}."
+        if least < low * (1 - 1e-9) or most > high * (1 + 1e-9):
+            yield (
+                f"Admitted at {_span_mm(contract.clearance_m)} mm, trained at {low:g} to {high:g} mm{before}: "
+                "what lies outside is outside what it has seen."
+            )
+    played = [block.setting for block in card.blocks]
+    unplayed = [part for part in contract.parts if part not in {setting.part for setting in played}]
+    missing = [
+        f"for {', '.join(unplayed)}" if unplayed else "",
+        f"below {min(s.clearance_m for s in played) * 1e3:.2f} mm" if played else "",
+        f"above {max(s.clearance_m for s in played) * 1e3:.2f} mm" if played else "",
+        "" if any(s.conditions == "transfer" for s in played) else "on the plant of `transfer`",
+        "" if any(s.through != "environment" for s in played) else "through the deployed service",
+        "on a robot",
+    ]
+    yield f"The results have nothing {'; '.join(text for text in missing if text)}."
+
+
+def _rate(figure: EvaluationFigure) -> str:
+    share = figure.successes / figure.episodes
+    return f"**{percent(share)}** {interval(figure.low, figure.high)}, {figure.successes} of {figure.episodes}"
+
+
+def _span_mm(clearance_m: tuple[float, float]) -> str:
+    low, high = (f"{value * 1e3:g}" for value in clearance_m)
+    return low if low == high else f"{low} to {high}"
+
+
+def _github_anchor(text: str) -> str:
+    """Where a heading is found on a page of Markdown."""
+    return re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-")
