@@ -13,7 +13,7 @@ pytest.importorskip("matplotlib", reason="needs the extra `training`")
 from service.policy.contract import EvaluationFigure, PolicyContract
 from service.policy.model import Policy
 from sim_backend.protocol.task import Conditions
-from training import baseline, design, paper
+from training import baseline, design, experiment, paper
 from training.commands.report import report
 from training.evaluate import FIRST_TEST_SEED
 from training.report import cards
@@ -149,6 +149,14 @@ def test_what_export_wrote_is_told_in_words_and_where_admission_goes_beyond_it()
     limits = limits_of(card(contract.model_copy(update={"provenance": EXPORTED})))
     assert "parts that it was not trained on (what it began with aside): cir." in limits
     assert "Admitted at 0.1 to 2 mm, trained at 0.5 to 2 mm" in limits
+
+
+@pytest.mark.parametrize("name", experiment.names())
+def test_every_experiment_is_told_in_words(name: str) -> None:
+    trained = experiment.load(name)
+    provenance = {**EXPORTED, "experiment": trained.model_dump(mode="json")}
+    text = told(card(trained.contract().model_copy(update={"provenance": provenance})))
+    line_with(text, f"Experiment `{name}`", f"Trained on {', '.join(trained.task.parts)} at ")
 
 
 def test_admission_of_what_it_was_trained_on_is_no_limit() -> None:
