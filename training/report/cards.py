@@ -359,10 +359,7 @@ def _known_limits(card: Card) -> Iterator[str]:
         if beyond:
             yield f"Admitted for parts that it was not trained on{before}: {', '.join(beyond)}."
         if least < low * (1 - 1e-9) or most > high * (1 + 1e-9):
-            yield (
-                f"Admitted at {_span_mm(contract.clearance_m)} mm, trained at {low:g} to {high:g} mm{before}: "
-                "what lies outside is outside what it has seen."
-            )
+            yield f"Admitted at {_span_mm(contract.clearance_m)} mm, trained at {low:g} to {high:g} mm{before}."
     played = [block.setting for block in card.blocks]
     unplayed = [part for part in contract.parts if part not in {setting.part for setting in played}]
     missing = [
