@@ -15,7 +15,7 @@ import numpy.typing as npt
 import onnx
 from onnx import TensorProto, helper
 
-from service.policy.contract import ActionEntry, ObservationEntry, PolicyContract
+from service.policy.contract import ObservationEntry, PolicyContract
 from service.policy.observation import Mode
 from service.safety import dsl
 from sim_backend.protocol.task import Part
@@ -25,7 +25,7 @@ OPSET = 17
 CLEARANCE_M = (0.05e-3, 6e-3)
 """A script is for every clearance that a world can have."""
 
-_LIMITS = {"dx": 4e-3, "dy": 4e-3, "dz": 1.5e-3, "dyaw": 0.175}
+_LIMITS = {entry.name: entry.limit for entry in design.contract_for().action}
 _SEEN = ("time_fraction", "hole_offset_xy", "height", "contact_height_known", "yaw")
 
 
@@ -154,16 +154,10 @@ def _share(graph: _Graph, free: str, displacement: str, limit: float) -> str:
 
 def _contract(name: str, mode: Mode, lock: dsl.Mode, max_steps: int, search: Search | None) -> PolicyContract:
     trained = design.contract_for(mode, lock, get_args(Part), clearance_m=CLEARANCE_M, max_steps=max_steps, name=name)
-    action = (
-        ActionEntry(name="dx", unit="m", frame="tool", limit=_LIMITS["dx"]),
-        ActionEntry(name="dy", unit="m", frame="tool", limit=_LIMITS["dy"]),
-        ActionEntry(name="dz", unit="m", frame="base", limit=_LIMITS["dz"]),
-        ActionEntry(name="dyaw", unit="rad", frame="base", limit=_LIMITS["dyaw"]),
-    )
     return trained.model_copy(
         update={
             "observation": tuple(ObservationEntry.of(entry) for entry in _SEEN),
-            "action": action,
+            "action": tuple(entry.model_copy(update={"map": "linear"}) for entry in trained.action),
             "provenance": {"script": "training.baseline", "search": None if search is None else asdict(search)},
         }
     )

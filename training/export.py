@@ -16,8 +16,8 @@ from torch.nn.functional import linear
 
 from service.policy.contract import EvaluationFigure, PolicyContract
 from service.policy.model import Policy
+from training import files
 from training.network import ActorCritic
-from training.run import write
 
 OPSET = 17
 AGREEMENT = 1e-4
@@ -171,6 +171,5 @@ def _with_contract(document: onnx.ModelProto, contract: PolicyContract) -> bytes
 
 def _write(data: bytes, path: Path) -> Policy:
     policy = Policy(data, source=str(path))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write(path, data)
+    files.write(path, data)
     return policy

@@ -20,7 +20,7 @@ from training.export import network_of, to_onnx
 from training.network import ActorCritic
 from training.parallel import start
 from training.rollout import Collector, Rollout
-from training.run import CheckpointError, Run, contract_in, directory_of, read, save
+from training.run import CheckpointError, Run, beginning, contract_in, directory_of, read, save
 from training.validation import score, validate
 from training.vector import Ended
 
@@ -43,7 +43,7 @@ def learn(run: Run, start_from: Path | None = None, deadline_s: float = float("i
 
     Raises:
         ExperimentError: the experiment is no longer the one that the folder's training began with.
-        CheckpointError: weights to begin with are missing or of another network.
+        CheckpointError: weights to begin with are missing or of another network, or the training began with others.
         TrainingError: it diverged; the checkpoint is from before.
         WorkerError: a worker's process has ended, or failed.
     """
@@ -77,8 +77,14 @@ class _Training:
         self._best = (-1.0, 0.0)
         checkpoint = read(run.checkpoint) if run.checkpoint.is_file() else None
         if checkpoint is None:
-            self._load(start_from or self._named_start())
-            run.open(0)
+            weights = start_from or self._named_start()
+            self._load(weights)
+            run.open(0, None if weights is None else beginning(weights))
+        elif start_from is not None and run.began_with != beginning(start_from):
+            raise CheckpointError(
+                f"{run.directory} did not begin with the weights of {start_from}: "
+                "leave out --start-from to go on with it, or move the folder away to begin anew"
+            )
         else:
             self._check_contract(checkpoint)
             run.open(checkpoint["steps"])
@@ -104,7 +110,7 @@ class _Training:
                     group["lr"] = self._algorithm.learning_rate * (1.0 - 0.9 * self._steps / total)
                 rollout = collector.collect(self._algorithm.rollout)
                 losses = ppo.update(self.network, self._optimiser, rollout, self._algorithm)
-                if not all(math.isfinite(value) for value in asdict(losses).values()):
+                if not (all(map(math.isfinite, asdict(losses).values())) and self.network.finite):
                     raise TrainingError(f"diverged at {self._steps} steps: {losses}; try a smaller learning_rate")
                 self._steps += rollout.reward.numel()
                 bar.update(rollout.reward.numel())

@@ -80,6 +80,11 @@ class ActorCritic(nn.Module):
             nn.Linear(128, 1),
         )
 
+    @property
+    def finite(self) -> bool:
+        """Whether every parameter is a number."""
+        return all(bool(weights.isfinite().all()) for weights in self.parameters())
+
     def initial_hidden(self, cells: int) -> Tensor:
         """Memory at the beginning of an episode, (cells, hidden)."""
         return torch.zeros(cells, self.hidden)

@@ -2,13 +2,14 @@
 
 | file | holds |
 |---|---|
-| `run.json` | the experiment, the contract, the seed; of each session its beginning, commit, versions and machine |
+| `run.json` | the experiment, the contract, the seed; of each session when, commit, versions, machine; weights at first |
 | `progress.jsonl` | one line per update and per evaluation |
 | `checkpoint.pt` | from where the training goes on: written after every update |
 | `best.pt` | the weights that did best in an evaluation |
 | `tensorboard/` | the same figures as `progress.jsonl` |
 """
 
+import hashlib
 import json
 import time
 from collections.abc import Iterator
@@ -18,7 +19,7 @@ from typing import Any, cast
 import torch
 
 from service.policy.contract import PolicyContract
-from training import provenance
+from training import files, provenance
 from training.experiment import Experiment, ExperimentError
 
 RUNS = Path("var/training")
@@ -48,8 +49,12 @@ class Run:
         self._progress = self.directory / "progress.jsonl"
         self._document = self.directory / "run.json"
 
-    def open(self, steps: int) -> None:
+    def open(self, steps: int, began_with: dict[str, Any] | None = None) -> None:
         """Begin a session at `steps`: note it, and forget progress that was made after the checkpoint.
+
+        Args:
+            steps: at which it begins.
+            began_with: `beginning` of the weights that a training did not begin without.
 
         Raises:
             ExperimentError: the experiment is no longer the one that this training began with.
@@ -77,10 +82,11 @@ class Run:
                 "machine": provenance.machine(),
                 "versions": provenance.versions(),
             }
+            | ({} if began_with is None else {"began_with": began_with})
         )
-        write(self._document, (json.dumps(document, indent=2) + "\n").encode())
+        files.write(self._document, (json.dumps(document, indent=2) + "\n").encode())
         kept = [line for line in self.records() if line["steps"] <= steps] if steps else []
-        write(self._progress, "".join(json.dumps(line) + "\n" for line in kept).encode())
+        files.write(self._progress, "".join(json.dumps(line) + "\n" for line in kept).encode())
 
     def add(self, record: dict[str, Any]) -> None:
         """Append a line to `progress.jsonl`."""
@@ -99,6 +105,11 @@ class Run:
         """How far the training has come."""
         return read(self.checkpoint)["steps"] if self.checkpoint.is_file() else 0
 
+    @property
+    def began_with(self) -> dict[str, Any] | None:
+        """`beginning` of the weights that the training began with; None: with none, or none are noted."""
+        return json.loads(self._document.read_text())["sessions"][0].get("began_with")
+
     def _described(self) -> dict[str, Any]:
         return self.experiment.model_dump(mode="json")
 
@@ -109,10 +120,8 @@ def directory_of(name: str, seed: int) -> Path:
 
 
 def save(path: Path, document: dict[str, Any]) -> None:
-    """Write tensors and plain values in one go: whoever reads `path` finds the old ones or the new ones."""
-    fresh = path.with_name(path.name + ".new")
-    torch.save(document, fresh)
-    fresh.replace(path)
+    """Write tensors and plain values as a whole."""
+    files.write_by(path, lambda fresh: torch.save(document, fresh))
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -143,16 +152,17 @@ def account_beside(path: Path) -> dict[str, Any]:
     return {name: account[name] for name in ("experiment", "seed", "sessions")}
 
 
+def beginning(path: Path) -> dict[str, Any]:
+    """Return what is noted of weights to begin with: file, steps, and whose they were, as far as that is known."""
+    account = account_beside(path)
+    whose = {"experiment": account["experiment"]["name"], "seed": account["seed"]} if account else {}
+    data = {"steps": read(path)["steps"], "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    return {"file": path.name, **whose, **data}
+
+
 def contract_in(document: dict[str, Any]) -> PolicyContract | None:
     """Return the contract that a checkpoint was trained under; None if it does not say."""
     return PolicyContract.from_json(document["contract"]) if "contract" in document else None
-
-
-def write(path: Path, data: bytes) -> None:
-    """Write a file in one go."""
-    fresh = path.with_name(path.name + ".new")
-    fresh.write_bytes(data)
-    fresh.replace(path)
 
 
 def _changes(before: dict[str, Any], now: dict[str, Any], under: str = "") -> Iterator[str]:

@@ -81,6 +81,13 @@ def test_one_seed_alone_may_be_trained_and_the_same_command_goes_on(here: Path) 
     assert [path.name for path in (here / "var/training/small").iterdir()] == ["seed-7"]
 
 
+def test_the_time_is_that_of_all_seeds_together(here: Path) -> None:
+    said = run("train", "small.toml", "--minutes", "1e-9")
+    assert said.count("0 of 16 steps") == 1
+    assert "goes on with seed 5" in said
+    assert [path.name for path in (here / "var/training/small").iterdir()] == ["seed-4"]
+
+
 def test_a_request_to_end_ends_the_training_and_says_how_to_go_on(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def ask_to_end(*_: Any) -> None:
         os.kill(os.getpid(), signal.SIGTERM)

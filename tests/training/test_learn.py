@@ -200,6 +200,24 @@ def test_a_training_that_diverges_says_so_and_keeps_the_weights_from_before(
     assert read(run.checkpoint)["net"]["log_std"].isfinite().all()
 
 
+def test_weights_that_are_no_numbers_are_not_kept_even_if_the_losses_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = Run(experiment(), 0, tmp_path)
+    learned = ppo.update
+
+    def spoiling(network: Any, optimiser: Any, rollout: Any, algorithm: Any) -> ppo.Losses:
+        losses = learned(network, optimiser, rollout, algorithm)
+        with torch.no_grad():
+            network.critic[0].bias[0] = float("inf")
+        return losses
+
+    monkeypatch.setattr(ppo, "update", spoiling)
+    with pytest.raises(TrainingError, match="diverged at 0 steps"):
+        learn(run)
+    assert not run.checkpoint.exists()
+
+
 def test_a_training_may_begin_with_the_weights_of_another_and_explores_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -216,6 +234,23 @@ def test_a_training_may_begin_with_the_weights_of_another_and_explores_anew(
         weights = network.state_dict()
         torch.testing.assert_close(weights.pop("log_std"), torch.full((4,), -0.1))
         assert all(torch.equal(best[name], value) for name, value in weights.items())
+    kept = read(start)["steps"]
+    for name in ("second", "third"):
+        (session,) = json.loads((tmp_path / f"var/training/{name}/seed-0/run.json").read_text())["sessions"]
+        known = session["began_with"]
+        assert (known["file"], known["experiment"], known["seed"], known["steps"]) == ("best.pt", "first", 0, kept)
+
+
+def test_a_training_under_way_takes_no_other_weights_than_it_began_with(tmp_path: Path) -> None:
+    for name in ("first", "other"):
+        learn(Run(experiment(name, algorithm={"steps": 32}), len(name), tmp_path / name))
+    run, start = Run(experiment(), 0, tmp_path / "mine"), tmp_path / "first/best.pt"
+    learn(run, start, deadline_s=1e-9)
+    learn(Run(experiment(algorithm={"steps": 32}), 0, tmp_path / "mine"), start)
+    before = (run.checkpoint.read_bytes(), (tmp_path / "mine/run.json").read_bytes())
+    with pytest.raises(CheckpointError, match=r"mine did not begin with the weights of .*other"):
+        learn(run, tmp_path / "other/best.pt")
+    assert before == (run.checkpoint.read_bytes(), (tmp_path / "mine/run.json").read_bytes())
 
 
 @pytest.mark.parametrize("change", [{"task": {"lock": "peck"}}, {"algorithm": {"memory": "none"}}])

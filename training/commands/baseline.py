@@ -7,8 +7,7 @@ from typing import Annotated
 import typer
 
 from service.policy.model import Policy
-
-EXIT_USAGE = 2
+from training.commands.refusal import refuse_without_extra
 
 
 class Baseline(StrEnum):
@@ -27,8 +26,7 @@ def baseline(
     try:
         from training import baseline as scripts
     except ImportError as error:
-        typer.echo(f"training: baselines need the extra `training` ({error}): make setup-training", err=True)
-        raise typer.Exit(EXIT_USAGE) from error
+        refuse_without_extra("baseline", error)
     data = {
         Baseline.SEARCH: scripts.scripted_search,
         Baseline.SEARCH_FTM: lambda: scripts.scripted_search("FTM"),

@@ -1,13 +1,12 @@
 """`export`: from a training to the file that a cell loads."""
 
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 
+from training.commands.refusal import refuse, refuse_without_extra
 from training.experiment import ExperimentError, load
-
-EXIT_USAGE = 2
 
 
 def export(
@@ -24,7 +23,7 @@ def export(
         from training.export import network_of
         from training.run import CheckpointError, account_beside, contract_in, directory_of, read
     except ImportError as error:
-        _fail(f"exporting needs the extra `training` ({error}): make setup-training")
+        refuse_without_extra("export", error)
     path = (
         Path(model) if model.endswith(".pt") else directory_of(model, seed) / ("checkpoint.pt" if last else "best.pt")
     )
@@ -32,16 +31,11 @@ def export(
         weights = read(path)
         contract = contract_in(weights) or (load(experiment).contract() if experiment else None)
         if contract is None:
-            _fail(f"{path} does not say what it was trained for: name its --experiment")
+            refuse("export", f"{path} does not say what it was trained for: name its --experiment")
         provenance: dict[str, Any] = {"steps": weights["steps"]} | account_beside(path)
         provenance |= {key: weights[key] for key in ("elapsed_s", "validation") if key in weights}
         contract = contract.model_copy(update={"name": name or contract.name, "provenance": provenance})
         policy = write(network_of(contract, weights["net"]), contract, out)
     except (CheckpointError, ExperimentError, ValueError) as error:
-        _fail(str(error))
+        refuse("export", str(error))
     typer.echo(f"wrote {out}: {policy.contract.name}, {out.stat().st_size} bytes, SHA-256 {policy.sha256}")
-
-
-def _fail(text: str) -> NoReturn:
-    typer.echo(f"training: {text}", err=True)
-    raise typer.Exit(EXIT_USAGE)

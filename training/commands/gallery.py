@@ -1,15 +1,17 @@
 """`gallery`: draw a policy's insertion of every part that it is for."""
 
 from pathlib import Path
-from typing import Annotated, NoReturn, cast
+from typing import Annotated, cast
 
 import typer
 
 from service.policy.model import Policy, PolicyError
 from sim_backend.protocol.task import Conditions, Part, Task
 from sim_backend.rendering import RenderingUnavailableError
+from training import design, paper
+from training.commands.refusal import refuse, refuse_without_extra
 
-EXIT_USAGE, EXIT_UNAVAILABLE = 2, 3
+EXIT_UNAVAILABLE = 3
 GALLERY = Path("docs/gallery")
 
 
@@ -27,15 +29,16 @@ def gallery(
     try:
         from training import gallery as drawing
     except ImportError as error:
-        _fail(f"the gallery needs the extra `training` ({error}): make setup-training", EXIT_USAGE)
+        refuse_without_extra("gallery", error)
     try:
         policy = Policy.load(model)
-        drawn = conditions or ("search" if policy.contract.mode == "FTM" else "standard")
+        drawn = conditions or paper.conditions_for(policy.contract.mode)
+        design.check_conditions(policy.contract.mode, drawn)
         parts: list[Part] = [cast(Part, name) for name in part or policy.contract.parts]
         for name in parts:
             Task(0, name, 1e-3 * clearance, drawn).check()
     except (PolicyError, ValueError) as error:
-        _fail(str(error), EXIT_USAGE)
+        refuse("gallery", str(error))
     out.mkdir(parents=True, exist_ok=True)
     films: list[drawing.Film] = []
     try:
@@ -49,13 +52,8 @@ def gallery(
                 drawing.write_animation(out / f"{name}.gif", films[-1])
                 drawing.write_strip(out / f"{name}.png", films[-1])
     except RenderingUnavailableError as error:
-        _fail(str(error), EXIT_UNAVAILABLE)
+        refuse("gallery", str(error), EXIT_UNAVAILABLE)
     if not films:
-        _fail("there is nothing to show", EXIT_USAGE)
+        refuse("gallery", "there is nothing to show")
     (out / "README.md").write_text(drawing.page(films))
     typer.echo(f"wrote {len(films)} insertions to {out}")
-
-
-def _fail(text: str, code: int) -> NoReturn:
-    typer.echo(f"gallery: {text}", err=True)
-    raise typer.Exit(code)

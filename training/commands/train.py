@@ -2,15 +2,16 @@
 
 import math
 import signal
+import time
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
+from training.commands.refusal import refuse, refuse_without_extra
 from training.experiment import Experiment, ExperimentError, load
 
-EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 
 
@@ -26,7 +27,7 @@ def train(
         Path | None, typer.Option(help="Weights to begin with (a .pt), in place of what the experiment says.")
     ] = None,
     minutes: Annotated[
-        float, typer.Option(help="End this session after so long; the same command goes on.")
+        float, typer.Option(help="End after so long, all seeds together; the same command goes on.")
     ] = math.inf,
 ) -> None:
     """Train an experiment, once for each seed, into var/training/EXPERIMENT/seed-N.
@@ -38,21 +39,26 @@ def train(
         from training.parallel import WorkerError
         from training.run import CheckpointError, Run
     except ImportError as error:
-        _fail(f"training needs the extra `training` ({error}): make setup-training")
+        refuse_without_extra("train", error)
     signal.signal(signal.SIGTERM, _interrupt)
+    deadline = time.monotonic() + minutes * 60
     try:
         asked = load(experiment)
-        for one in seed or asked.seeds:
+        seeds = seed or asked.seeds
+        for number, one in enumerate(seeds):
+            if number and time.monotonic() >= deadline:
+                typer.echo(f"out of time; the same command goes on with seed {', '.join(map(str, seeds[number:]))}")
+                break
             run = Run(asked, one)
             try:
-                learn(run, start_from, minutes * 60)
+                learn(run, start_from, deadline - time.monotonic())
             except KeyboardInterrupt:
                 typer.echo(f"interrupted; the same command goes on from {run.checkpoint}", err=True)
                 raise typer.Exit(EXIT_INTERRUPTED) from None
             then = f"dsl-assembly export {asked.name} OUT.onnx --seed {one}"
             typer.echo(f"{_state(asked, run.steps)} in {run.directory}; next: {then}")
     except (ExperimentError, CheckpointError, TrainingError, WorkerError) as error:
-        _fail(str(error))
+        refuse("train", str(error))
 
 
 def _state(experiment: Experiment, steps: int) -> str:
@@ -62,8 +68,3 @@ def _state(experiment: Experiment, steps: int) -> str:
 
 def _interrupt(signum: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
-
-
-def _fail(text: str) -> NoReturn:
-    typer.echo(f"training: {text}", err=True)
-    raise typer.Exit(EXIT_USAGE)
