@@ -2,7 +2,7 @@
 
 | file | holds |
 |---|---|
-| `run.json` | the experiment, the contract, the seed; of each session when, commit, versions, machine; weights at first |
+| `run.json` | experiment, contract, seed; of each session when, commit, versions, machine; weights to begin with |
 | `progress.jsonl` | one line per update and per evaluation |
 | `checkpoint.pt` | from where the training goes on: written after every update |
 | `best.pt` | the weights that did best in an evaluation |
