@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from service.hard_limits import FORCE_HARD_MAXIMUM_N
 from service.policy.contract import ComplianceLaw, PolicyContract
 from service.policy.observation import Mode
 from service.safety import dsl
@@ -45,7 +46,7 @@ class TaskSection(Section):
         conditions: distributions of an episode, see `docs/conditions.md`.
         randomise_plant: friction, stiffness, delay and mass vary.
         reward: of `training.reward`.
-        force_cost_per_n: in the reward `potential`, per step and newton of peak force above 12 N.
+        force_cost_per_n: in the reward `potential`, of the episode's peak force above 12 N.
         max_steps: of an episode.
         force_ceiling_n: resultant that ends an episode in a fault.
     """
@@ -59,7 +60,7 @@ class TaskSection(Section):
     reward: RewardName = "potential"
     force_cost_per_n: NotNegative = FORCE_COST_PER_N
     max_steps: Count = design.MAX_STEPS
-    force_ceiling_n: Positive = 30.0
+    force_ceiling_n: Annotated[float, Field(gt=0, le=FORCE_HARD_MAXIMUM_N)] = 30.0
 
     @property
     def clearance_m(self) -> tuple[float, float]:

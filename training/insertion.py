@@ -80,7 +80,7 @@ class Insertions:
         threads: that step the physics.
         force_ceiling_n: resultant at which the cell stops, N.
         reward_name: which reward.
-        force_cost_per_n: in the reward `potential`, per step and newton above `reward.FORCE_FREE_N`.
+        force_cost_per_n: in the reward `potential`, of the episode's peak above `reward.FORCE_FREE_N`.
     """
 
     def __init__(
@@ -150,8 +150,8 @@ class Insertions:
         self._target_yaw[cells] = pose.yaw_of(world.rotation[cells])
         self.steps[cells] = 0
         self.peak_force[cells] = 0.0
-        fresh = self._situation(np.zeros(self.n), np.zeros(self.n, np.bool_), np.zeros(self.n, np.bool_))
-        self._potential[cells] = reward.potential(fresh, GOAL_DEPTH_M)[cells]
+        fresh = self._situation(np.zeros(self.n, np.bool_), np.zeros(self.n, np.bool_))
+        self._potential[cells] = reward.potential(fresh, GOAL_DEPTH_M, self._force_cost_per_n)[cells]
         self._memory, seen = self._builder.build(self._memory, self._measure(), mask)
         self.observation = np.where(mask[:, None], seen, self.observation)
         return self.observation
@@ -193,12 +193,12 @@ class Insertions:
         terminated = arrived | fault
         truncated = ~terminated & (self.steps >= contract.max_steps)
         success = inside & (depth >= SUCCESS_DEPTH_M) & (terminated | truncated)
-        situation = self._situation(force, arrived, fault)
-        after = reward.potential(situation, GOAL_DEPTH_M)
+        situation = self._situation(arrived, fault)
+        after = reward.potential(situation, GOAL_DEPTH_M, self._force_cost_per_n)
         if self._reward_name == "paper":
             earned = reward.paper_reward(situation)
         else:
-            earned = reward.potential_reward(self._potential, after, situation, self._force_cost_per_n)
+            earned = reward.potential_reward(self._potential, after, situation)
         self._potential = after
         return Outcome(
             observation=self.observation,
@@ -229,7 +229,7 @@ class Insertions:
                 np.clip(world.depth / 0.01, -3, 1),
                 world.clearance / 2e-3,
                 world.friction,
-                self.steps / self.contract.max_steps,
+                self.peak_force / 20.0,
             ]
         ).astype(np.float32)
 
@@ -241,8 +241,8 @@ class Insertions:
         error = np.asarray(pose.yaw_of(self.world.rotation)) - self.world.hole_yaw
         return np.asarray(wrap(error * order)) / order
 
-    def _situation(self, force: Array, success: Bool, fault: Bool) -> Situation:
-        return Situation(self.world.offset, self._yaw_error(), self.world.depth, force, success, fault)
+    def _situation(self, success: Bool, fault: Bool) -> Situation:
+        return Situation(self.world.offset, self._yaw_error(), self.world.depth, self.peak_force, success, fault)
 
     def _measure(self) -> Measurement:
         world = self.world

@@ -25,8 +25,8 @@ STEP_COST = 0.03
 SUCCESS_BONUS = 5.0
 FAULT_COST = 2.0
 FORCE_FREE_N = 12.0
-FORCE_COST_PER_N = 0.08
-FORCE_COST_MAX = 1.0
+"""An honest press by the law, 9 N, reads as much with its noise."""
+FORCE_COST_PER_N = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Situation:
         offset: (..., 2) of the peg's axis from the hole's, hole frame.
         yaw_error: from the nearest matching yaw.
         depth: of the peg's bottom below the mouth, negative above it.
-        peak_force: largest resultant during the step.
+        peak_force: largest resultant of the episode until then.
         success: the peg went in, now.
         fault: the force ceiling or the arm stopped the episode.
     """
@@ -50,22 +50,24 @@ class Situation:
     fault: npt.NDArray[np.bool_]
 
 
-def potential(situation: Situation, goal_depth_m: float) -> Array:
-    """Minus the distances to the goal, each in units of its scale; (...), at most zero."""
+def potential(situation: Situation, goal_depth_m: float, force_cost_per_n: float = FORCE_COST_PER_N) -> Array:
+    """Minus the distances to the goal in units of their scales, minus the cost of the peak force; (...), at most zero.
+
+    The peak is the episode's, so that its cost is paid once: a force that was reached before costs nothing again. Paid
+    step by step, every press of a search would cost, and a policy learns to give up and hover.
+    """
     distance = np.sqrt((situation.offset**2).sum(-1))
     height = np.maximum(goal_depth_m - situation.depth, 0.0)
-    return -(distance / OFFSET_SCALE_M + np.abs(situation.yaw_error) / YAW_SCALE_RAD + height / HEIGHT_SCALE_M)
+    strain = force_cost_per_n * np.maximum(situation.peak_force - FORCE_FREE_N, 0.0)
+    return -(distance / OFFSET_SCALE_M + np.abs(situation.yaw_error) / YAW_SCALE_RAD + height / HEIGHT_SCALE_M + strain)
 
 
-def potential_reward(
-    before: Array, after: Array, situation: Situation, force_cost_per_n: float = FORCE_COST_PER_N
-) -> Array:
-    """Change of the potential, a cost per step and per newton of peak force, a bonus for success, a cost for a fault.
+def potential_reward(before: Array, after: Array, situation: Situation) -> Array:
+    """Change of the potential, a cost per step, a bonus for success, a cost for a fault.
 
     The change is taken without a discount: with a negative potential, a discount in it pays for standing still.
     """
-    pressing = np.clip(force_cost_per_n * (situation.peak_force - FORCE_FREE_N), 0.0, FORCE_COST_MAX)
-    return (after - before) - STEP_COST - pressing + SUCCESS_BONUS * situation.success - FAULT_COST * situation.fault
+    return (after - before) - STEP_COST + SUCCESS_BONUS * situation.success - FAULT_COST * situation.fault
 
 
 def paper_reward(situation: Situation) -> Array:

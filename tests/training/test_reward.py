@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,8 +23,8 @@ def situation(
     )
 
 
-def potential(where: Situation) -> np.ndarray:
-    return reward.potential(where, GOAL_DEPTH_M)
+def potential(where: Situation, force_cost_per_n: float = reward.FORCE_COST_PER_N) -> np.ndarray:
+    return reward.potential(where, GOAL_DEPTH_M, force_cost_per_n)
 
 
 LENGTH = st.floats(-0.05, 0.05)
@@ -74,11 +76,7 @@ def test_a_way_back_to_its_beginning_never_pays(path: list[Situation]) -> None:
 @given(path=st.lists(PLACES, min_size=2, max_size=20))
 def test_the_shaping_of_a_way_depends_on_its_ends_alone(path: list[Situation]) -> None:
     levels = [potential(place) for place in path]
-    costs = sum(
-        reward.STEP_COST
-        + np.clip(reward.FORCE_COST_PER_N * (place.peak_force - reward.FORCE_FREE_N), 0, reward.FORCE_COST_MAX)
-        for place in path[1:]
-    )
+    costs = reward.STEP_COST * (len(path) - 1)
     earned = sum(
         reward.potential_reward(before, after, place)
         for before, after, place in zip(levels[:-1], levels[1:], path[1:], strict=True)
@@ -95,14 +93,16 @@ def test_going_in_pays_more_than_any_standstill_and_a_fault_costs() -> None:
     assert reward.potential_reward(potential(stopped), potential(stopped), stopped) < -reward.FAULT_COST
 
 
-def test_pressing_costs_beyond_the_free_force_up_to_a_limit() -> None:
+def test_a_peak_costs_once_and_pressing_on_as_hard_nothing_more() -> None:
+    forces = (0.0, reward.FORCE_FREE_N, reward.FORCE_FREE_N + 1, reward.FORCE_FREE_N + 1, reward.FORCE_FREE_N + 11)
+    path = [situation(peak_force=force) for force in forces]
     earned = [
-        float(reward.potential_reward(np.array(0.0), np.array(0.0), situation(peak_force=force)))
-        for force in (0.0, reward.FORCE_FREE_N, reward.FORCE_FREE_N + 1, 100.0, 200.0)
+        float(reward.potential_reward(potential(before), potential(after), after)) + reward.STEP_COST
+        for before, after in itertools.pairwise(path)
     ]
-    assert earned[0] == earned[1] == -reward.STEP_COST
-    assert earned[2] == pytest.approx(-reward.STEP_COST - reward.FORCE_COST_PER_N)
-    assert earned[3] == earned[4] == pytest.approx(-reward.STEP_COST - reward.FORCE_COST_MAX)
+    cost = reward.FORCE_COST_PER_N
+    assert earned == pytest.approx([0.0, -cost, 0.0, -10 * cost])
+    assert potential(path[2], force_cost_per_n=0.5) == pytest.approx(potential(path[0]) - 0.5)
 
 
 @pytest.mark.parametrize(
