@@ -24,6 +24,7 @@ from service.client import CellClient, CellError, CellRefusedError
 from service.messages import CellState, ResetRequest, Run, RunState, StartRequest
 from service.transport import close_session, open_session, query
 from sim_backend.protocol import keys
+from sim_backend.protocol.task import Task
 from sim_backend.scene import NOMINAL_HOLE_M, PAYLOAD_COM_M, PAYLOAD_KG, TCP_OFFSET_M
 from sim_backend.world import START_POSITION_M, START_YAW_RAD
 from training.insertion import LIMITS, SUCCESS_DEPTH_M
@@ -104,7 +105,7 @@ def play(
         config.write_text(_toml(_configuration(model, setting, cell_endpoint, sim_endpoint, ready)))
         service = processes.enter_context(_process(["service", "run", "--config", str(config)], logs[1]))
         try:
-            return asyncio.run(_play(seeds, cell_endpoint, sim_endpoint, on_episode))
+            return asyncio.run(_play(seeds, setting, cell_endpoint, sim_endpoint, on_episode))
         except (CellError, TimeoutError) as error:
             said = "\n".join(log.read_text()[-2000:] for log in logs)
             ended = sum(process.poll() is not None for process in (simulator, service))
@@ -161,21 +162,25 @@ def _configuration(
 
 
 async def _play(
-    seeds: list[int], cell_endpoint: str, sim_endpoint: str, on_episode: Callable[[ServiceEpisode], object]
+    seeds: list[int],
+    setting: Setting,
+    cell_endpoint: str,
+    sim_endpoint: str,
+    on_episode: Callable[[ServiceEpisode], object],
 ) -> list[ServiceEpisode]:
     session = await asyncio.to_thread(open_session, connect=[sim_endpoint])
     try:
         async with CellClient(CELL, [cell_endpoint]) as cell:
             played: list[ServiceEpisode] = []
             for seed in seeds:
-                played.append(await _play_one(seed, cell, session))
+                played.append(await _play_one(seed, setting, cell, session))
                 on_episode(played[-1])
             return played
     finally:
         await asyncio.to_thread(close_session, session)
 
 
-async def _play_one(seed: int, cell: CellClient, session: zenoh.Session) -> ServiceEpisode:
+async def _play_one(seed: int, setting: Setting, cell: CellClient, session: zenoh.Session) -> ServiceEpisode:
     await _await_ready(cell)
     started = await cell.start(StartRequest(recipe=RECIPE, seed=seed, requested_by="python -m training evaluate"))
     async with asyncio.timeout(RUN_S):
@@ -184,11 +189,29 @@ async def _play_one(seed: int, cell: CellClient, session: zenoh.Session) -> Serv
     answers = await query(session, keys.TRUTH.format(world=WORLD), b"", 5.0)
     if not answers:
         raise ServiceError("the simulator does not say what is true")
-    truth: dict[str, Any] = json.loads(answers[0])
-    if truth["task"]["seed"] != seed:
-        raise ServiceError(f"the simulator holds seed {truth['task']['seed']}, the run was with seed {seed}")
+    return judged(json.loads(answers[0]), seed, setting, run)
+
+
+def judged(truth: dict[str, Any], seed: int, setting: Setting, run: Run) -> ServiceEpisode:
+    """Return the episode that the simulator says it was.
+
+    Args:
+        truth: of the world where the tool stood when the run had ended.
+        seed: that was asked for.
+        setting: likewise.
+        run: the service's own account.
+
+    Raises:
+        ServiceError: the world was laid out for something else.
+    """
+    asked = Task(seed, setting.part, setting.clearance_m, setting.conditions).to_json()
+    played: dict[str, Any] = truth["task"]
+    differing = [name for name in asked if played[name] != asked[name]]
+    if differing:
+        told = ", ".join(f"{name} {played[name]!r} where {asked[name]!r} was asked for" for name in differing)
+        raise ServiceError(f"the simulator played another task: {told}")
     depth = float(truth["depth"])
-    return ServiceEpisode(seed, run, depth, depth > SUCCESS_DEPTH_M and bool(truth["contained"]))
+    return ServiceEpisode(seed, run, depth, depth >= SUCCESS_DEPTH_M and bool(truth["contained"]))
 
 
 async def _await_ready(cell: CellClient) -> None:

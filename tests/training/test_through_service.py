@@ -4,8 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from service.messages import RunState
+from service.messages import Run, RunState
+from sim_backend.protocol.task import Task
 from training import through_service
+from training.insertion import SUCCESS_DEPTH_M
 from training.results import Setting, Through
 
 SEEDS = [1_000_000, 1_000_001]
@@ -42,6 +44,17 @@ def test_the_service_plays_the_seeds_it_is_told_and_the_simulator_judges_them(mo
 @pytest.mark.timeout(300)
 def test_the_same_seeds_can_be_played_on_an_emulated_ur_controller(model_path: Path) -> None:
     check(through_service.play(model_path, SEEDS[:1], setting("rtde")), SEEDS[:1])
+
+
+def test_a_world_that_was_laid_out_for_something_else_is_not_judged() -> None:
+    asked = setting("zenoh")
+    run = Run.model_construct(state=RunState.SUCCEEDED)
+    played = Task(7, asked.part, asked.clearance_m, asked.conditions).to_json()
+    at_the_limit = {"task": played, "depth": SUCCESS_DEPTH_M, "contained": True}
+    assert through_service.judged(at_the_limit, 7, asked, run).inserted
+    for name, value in (("seed", 8), ("part", "cir"), ("clearance_m", 2e-3), ("conditions", "standard")):
+        with pytest.raises(through_service.ServiceError, match=f"another task: {name} {value!r} where"):
+            through_service.judged(at_the_limit | {"task": played | {name: value}}, 7, asked, run)
 
 
 def test_a_policy_that_the_service_refuses_is_reported_with_what_it_said(tmp_path: Path) -> None:
