@@ -4,10 +4,11 @@ One file per policy, `results/NAME.json`. Nothing in it is a summary: rates, int
 the episodes whenever they are shown.
 """
 
+import fcntl
 import json
 import math
-import os
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, Self, cast
@@ -19,6 +20,7 @@ from service.policy.contract import EvaluationFigure
 from service.policy.observation import Mode
 from service.safety import dsl
 from sim_backend.protocol.task import Conditions, Part
+from training import files
 from training.reward import RewardName
 
 RESULTS = Path("results")
@@ -33,7 +35,7 @@ with an emulated UR controller over RTDE."""
 
 
 class ResultsError(ValueError):
-    """A results file that cannot be read, or that belongs to another policy."""
+    """A results file that cannot be read or is in use, or that belongs to another policy or other sources."""
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
@@ -230,11 +232,15 @@ class Results(Section):
         schema_version: of this document.
         policy: name in its contract.
         sha256: of its file.
+        sources: SHA-256 of the sources that decide an episode, `training.provenance.sources`: another world, arm, lock
+            or criterion makes other results.
         mode: what it observes.
         lock: its contract's.
         period_s: between two actions.
         max_steps: of an episode.
         stiffness: of its compliance law, N/m and N·m/rad about x, y, z.
+        press_m: how far below the lock a command may go.
+        seek_step_m: the lock's increment downwards before contact.
         provenance: its contract's: how it was trained.
         blocks: one per setting.
     """
@@ -242,11 +248,14 @@ class Results(Section):
     schema_version: Literal[1] = SCHEMA_VERSION
     policy: str
     sha256: str
+    sources: str
     mode: Mode
     lock: dsl.Mode
     period_s: float
     max_steps: int
     stiffness: tuple[float, float, float, float, float, float]
+    press_m: float
+    seek_step_m: float
     provenance: dict[str, JsonValue]
     blocks: tuple[Block, ...] = ()
 
@@ -266,10 +275,7 @@ class Results(Section):
 
     def save(self, path: Path) -> None:
         """Write the file, at once or not at all: one line per column, so that a difference can be read."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        new = path.with_suffix(".new")
-        new.write_text(_laid_out(self.model_dump(mode="json"), 0) + "\n")
-        os.replace(new, path)
+        files.write(path, f"{_laid_out(self.model_dump(mode='json'), 0)}\n".encode())
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -282,6 +288,24 @@ class Results(Section):
             return cls.model_validate_json(path.read_bytes())
         except (OSError, ValidationError) as error:
             raise ResultsError(f"{path} holds no results: {error}") from error
+
+
+@contextmanager
+def exclusive(path: Path) -> Generator[None]:
+    """Keep other processes from adding to a results file while the context lasts.
+
+    Raises:
+        ResultsError: one is adding to it.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.with_name(f".{path.stem}.lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ResultsError(
+                f"another process is measuring into {path}: wait until it has ended, or choose another --name"
+            ) from None
+        yield
 
 
 def _short(value: Any) -> JsonValue:

@@ -9,9 +9,11 @@ pytest.importorskip("torch", reason="needs the extra `training`: pip install -e 
 
 from service.policy.model import Policy
 from training import evaluate as evaluation
+from training import provenance
 from training.__main__ import app
+from training.baseline import scripted_search
 from training.export import export
-from training.results import Results
+from training.results import Results, exclusive
 
 EASY = ["--clearance", "3", "--conditions", "easy", "--workers", "1"]
 
@@ -128,6 +130,38 @@ def test_results_of_another_file_are_not_added_to(here: Path, untrained: object)
     assert Results.load(here / "results" / "model.json").policy == "another"
 
 
+def test_results_of_another_world_are_not_added_to(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run("model.onnx", *EASY, "--episodes", "1")
+    before = (here / "results" / "model.json").read_bytes()
+    monkeypatch.setattr(provenance, "sources", lambda: "another")
+    said = " ".join(refused("model.onnx", *EASY, "--episodes", "2").split())
+    assert "results of an earlier world, arm, lock or criterion" in said
+    assert "--anew" in said
+    assert (here / "results" / "model.json").read_bytes() == before
+    run("model.onnx", *EASY, "--episodes", "1", "--anew")
+    assert Results.load(here / "results" / "model.json").sources == "another"
+
+
+def test_results_that_another_process_adds_to_are_refused(here: Path, played: list[int]) -> None:
+    with exclusive(here / "results" / "model.json"):
+        assert "another process is measuring" in " ".join(refused("model.onnx", *EASY, "--episodes", "1").split())
+    assert played == []
+
+
+def test_what_the_lock_does_beyond_its_mode_is_kept(here: Path) -> None:
+    run("model.onnx", *EASY, "--episodes", "1")
+    lock = Policy.load(here / "model.onnx").contract.dsl
+    results = Results.load(here / "results" / "model.json")
+    assert (results.press_m, results.seek_step_m) == (lock.press_m, lock.seek_step_m)
+
+
+def test_a_policy_without_a_camera_is_measured_only_where_the_hole_is_within_its_search(here: Path) -> None:
+    (here / "ftm.onnx").write_bytes(scripted_search("FTM"))
+    for conditions in ("standard", "transfer"):
+        said = " ".join(refused("ftm.onnx", "--conditions", conditions, "--episodes", "1").split())
+        assert "too far from the nominal centre" in said
+
+
 def test_recorded_figures_change_the_file_and_its_results_go_with_it(here: Path, played: list[int]) -> None:
     run("model.onnx", *EASY, "--episodes", "2", "--record")
     policy = Policy.load(here / "model.onnx")
@@ -143,6 +177,7 @@ def test_recorded_figures_change_the_file_and_its_results_go_with_it(here: Path,
     [
         (["missing.onnx"], "cannot read missing.onnx"),
         (["model.onnx", "--clearance", "9"], "clearance_m must lie in"),
+        (["model.onnx", "--force-ceiling", "60"], "less than or equal to"),
         (["model.onnx", "--lock", "bolt"], "--lock must be one of"),
         (["model.onnx", "--lock", "off", "--through", "zenoh"], "under its own lock"),
         (["model.onnx", "--lock", "peck", "--episodes", "1"], "peck"),

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from training.results import Block, EpisodeResult, Results, ResultsError, Session, Setting, wilson
+from training.results import Block, EpisodeResult, Results, ResultsError, Session, Setting, exclusive, wilson
 
 SETTING = Setting(part="tr", clearance_m=1e-3, conditions="standard", lock="paper", first_seed=100)
 EPISODES = tuple(
@@ -26,11 +26,14 @@ BLOCK = Block(setting=SETTING, sessions=(SESSION,), episodes=EPISODES)
 RESULTS = Results(
     policy="of a test",
     sha256="00ff",
+    sources="11ee",
     mode="VFTM",
     lock="paper",
     period_s=0.1,
     max_steps=110,
     stiffness=(1, 1, 1, 1, 1, 1),
+    press_m=3e-3,
+    seek_step_m=1e-3,
     provenance={"algorithm": "none"},
     blocks=(BLOCK,),
 )
@@ -98,6 +101,17 @@ def test_a_block_takes_the_place_of_the_one_with_its_setting_and_no_other() -> N
     shorter = both.with_block(BLOCK.first(1))
     assert [len(block.episodes) for block in shorter.blocks] == [1, 0]
     assert shorter.block(replace(SETTING, through="rtde")).episodes == ()
+
+
+def test_a_file_that_is_being_added_to_is_refused_until_that_has_ended(tmp_path: Path) -> None:
+    path = tmp_path / "results" / "r.json"
+    with exclusive(path):
+        with pytest.raises(ResultsError, match=r"another process is measuring into .*r\.json"), exclusive(path):
+            pass
+        with exclusive(path.with_name("other.json")):
+            pass
+    with exclusive(path):
+        RESULTS.save(path)
 
 
 def _ragged(document: dict[str, object]) -> None:

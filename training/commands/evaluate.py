@@ -5,15 +5,17 @@ import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, cast, get_args
+from typing import Annotated, Any, cast, get_args
 
 import typer
 
+from service.hard_limits import FORCE_HARD_MAXIMUM_N
 from service.policy.model import Policy, PolicyError
 from service.safety import dsl
 from sim_backend.protocol.task import Conditions, Part, Task
+from training import design, paper, provenance, through_service
 from training import evaluate as evaluation
-from training import paper, provenance, through_service
+from training.commands.refusal import refuse, refuse_without_extra
 from training.results import (
     CEILING_N,
     HEADER,
@@ -25,11 +27,12 @@ from training.results import (
     Session,
     Setting,
     Through,
+    exclusive,
 )
 from training.reward import RewardName
 
-EXIT_USAGE = 2
 DEFAULT_CLEARANCES_MM = (2.0, 1.33, 0.33)
+_REMEDY = "choose another --name or folder, or drop them (evaluate: --anew)"
 
 
 def evaluate(
@@ -46,13 +49,16 @@ def evaluate(
     ] = "environment",
     lock: Annotated[str, typer.Option(help="Run under another lock than the policy's: paper, sliding or off.")] = "",
     reward: Annotated[RewardName, typer.Option(help="That returns are sums of.")] = "paper",
-    force_ceiling: Annotated[float, typer.Option(help="N; an episode ends there.")] = CEILING_N,
+    force_ceiling: Annotated[
+        float, typer.Option(min=1.0, max=FORCE_HARD_MAXIMUM_N, help="N; an episode ends there.")
+    ] = CEILING_N,
     first_seed: Annotated[int, typer.Option(min=0, help="Seeds count up from here.")] = evaluation.FIRST_TEST_SEED,
     workers: Annotated[int, typer.Option(min=0, help="Processes; 0: one per core. The service runs alone.")] = 0,
     name: Annotated[str, typer.Option(help="Of the results; default: the file's.")] = "",
     results: Annotated[Path, typer.Option(help="Folder of the results.")] = RESULTS,
     anew: Annotated[
-        bool, typer.Option("--anew", help="Drop what was measured of an earlier file of this name.")
+        bool,
+        typer.Option("--anew", help="Drop what is there of another file or of other sources."),
     ] = False,
     record: Annotated[bool, typer.Option("--record", help="Write the figures into the model's contract.")] = False,
 ) -> None:
@@ -62,9 +68,9 @@ def evaluate(
     """
     workers = (workers or len(os.sched_getaffinity(0))) if through == "environment" else 1
     if lock and through != "environment":
-        _fail("the service runs a policy under its own lock: --lock goes with --through environment")
+        refuse("evaluate", "the service runs a policy under its own lock: --lock goes with --through environment")
     if lock and lock not in get_args(dsl.Mode):
-        _fail(f"--lock must be one of {', '.join(get_args(dsl.Mode))}, not {lock!r}")
+        refuse("evaluate", f"--lock must be one of {', '.join(get_args(dsl.Mode))}, not {lock!r}")
     try:
         policy = Policy.load(model)
         settings = _settings(
@@ -82,18 +88,19 @@ def evaluate(
         if record:
             _check_recordable(policy, settings)
         path = results / f"{name or model.stem}.json"
-        measured = measure(model, policy, settings, path, episodes, workers, anew=anew)
+        with exclusive(path):
+            measured = measure(model, policy, settings, path, episodes, workers, anew=anew)
+            blocks = [measured.block(setting).first(episodes) for setting in settings]
+            if record:
+                _record(model, measured, path, blocks)
     except (PolicyError, ResultsError, ValueError, through_service.ServiceError) as error:
-        _fail(str(error))
-    blocks = [measured.block(setting).first(episodes) for setting in settings]
+        refuse("evaluate", str(error))
     typer.echo("\n".join([HEADER, *(block.line() for block in blocks)]))
     for episode in (e for block in blocks for e in block.episodes if e.claimed not in (None, e.success)):
         told = "succeeded" if episode.claimed else f"ended by {episode.code}"
         where = "in the hole" if episode.success else "not in the hole"
         typer.echo(f"seed {episode.seed}: the service says that it {told}, in truth the peg is {where}")
     typer.echo(f"kept in {path}")
-    if record:
-        _record(model, measured, path, blocks)
 
 
 def measure(
@@ -112,16 +119,16 @@ def measure(
         model: file of the policy.
         policy: loaded from it.
         settings: to measure.
-        path: of the results, which keep every episode as it ends.
+        path: of the results, which keep every episode as it ends; hold `exclusive` of it.
         episodes: per setting.
         workers: processes; those through the service run in this one.
-        anew: drop what the file holds of another policy.
+        anew: drop what the file holds of another policy, or from other sources.
 
     Returns:
         All that the file holds then.
 
     Raises:
-        ResultsError: the file holds another policy's results.
+        ResultsError: the file holds another policy's results, or what other sources gave.
         ServiceError: the service, or what it needs, failed.
     """
     known = _known(policy, path, anew)
@@ -190,6 +197,7 @@ def _settings(
         for shape, clearance, drawn in cells
     ]
     for setting in settings:
+        design.check_conditions(contract.mode, setting.conditions)
         Task(setting.first_seed, setting.part, setting.clearance_m, setting.conditions).check()
         evaluation.with_lock(contract, setting)
     return list(dict.fromkeys(settings))
@@ -217,11 +225,14 @@ def _known(policy: Policy, path: Path, anew: bool) -> Results:
     fresh = Results(
         policy=contract.name,
         sha256=policy.sha256,
+        sources=provenance.sources(),
         mode=contract.mode,
         lock=contract.dsl.mode,
         period_s=contract.period_s,
         max_steps=contract.max_steps,
         stiffness=contract.compliance.stiffness,
+        press_m=contract.dsl.press_m,
+        seek_step_m=contract.dsl.seek_step_m,
         provenance=contract.provenance,
     )
     if anew or not path.exists():
@@ -230,7 +241,12 @@ def _known(policy: Policy, path: Path, anew: bool) -> Results:
     if known.sha256 != policy.sha256:
         raise ResultsError(
             f"{path} holds results of another file (SHA-256 {known.sha256[:12]}…, this one is {policy.sha256[:12]}…): "
-            "choose another --name, or drop them with --anew"
+            + _REMEDY
+        )
+    if known.sources != fresh.sources:
+        raise ResultsError(
+            f"{path} holds results of an earlier world, arm, lock or criterion (SHA-256 of the sources "
+            f"{known.sources[:12]}…, now {fresh.sources[:12]}…), which do not go together with new ones: {_REMEDY}"
         )
     return known
 
@@ -256,12 +272,7 @@ def _record(model: Path, results: Results, path: Path, blocks: Sequence[Block]) 
     try:
         from training.export import record_evaluation
     except ImportError as error:
-        _fail(f"recording needs the extra `training` ({error}): make setup-training")
+        refuse_without_extra("evaluate", error)
     policy = record_evaluation(model, [block.figure() for block in blocks])
     results.model_copy(update={"sha256": policy.sha256}).save(path)
     typer.echo(f"recorded in {model}, whose SHA-256 is now {policy.sha256}")
-
-
-def _fail(text: str) -> NoReturn:
-    typer.echo(f"evaluate: {text}", err=True)
-    raise typer.Exit(EXIT_USAGE)

@@ -1,0 +1,53 @@
+"""What a figure says of where it comes from."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from training import provenance
+
+PACKAGES = ("service", "sim_backend", "training")
+OTHERWISE = {"training/design.py", "training/files.py", "training/results.py"}
+"""Loaded with what plays an episode, but without a say in how it goes: a contract comes with its policy."""
+
+
+def imported(source: Path) -> Iterator[Path]:
+    """Files of this project that a module imports."""
+    for node in ast.walk(ast.parse(source.read_text())):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        for name in names:
+            file = provenance.ROOT.joinpath(*name.split(".")).with_suffix(".py")
+            if name.split(".")[0] in PACKAGES and file.is_file():
+                yield file
+
+
+def test_all_that_plays_an_episode_counts_as_deciding_it() -> None:
+    found: set[Path] = set()
+    ahead = [provenance.ROOT / "training/evaluate.py"]
+    while ahead:
+        file = ahead.pop()
+        if file not in found:
+            found.add(file)
+            ahead += imported(file)
+    assert {file.relative_to(provenance.ROOT).as_posix() for file in found} - OTHERWISE == set(provenance.DECIDING)
+
+
+def test_a_change_of_what_decides_an_episode_shows_and_where_it_lies_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = provenance.sources.__wrapped__()
+    for name in provenance.DECIDING:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes((provenance.ROOT / name).read_bytes())
+    monkeypatch.setattr(provenance, "ROOT", tmp_path)
+    assert provenance.sources.__wrapped__() == here
+    with (tmp_path / "sim_backend/arm.py").open("a") as file:
+        file.write("# a change")
+    assert provenance.sources.__wrapped__() != here
