@@ -8,8 +8,22 @@ from typer.testing import CliRunner
 pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
 
 from training.__main__ import app
+from training.report.curves import Curve
 from training.results import Block, EpisodeResult, Results
 
+CURVE = Curve(
+    experiment="kept",
+    seed=0,
+    mode="VFTM",
+    start_from=None,
+    reward="paper",
+    machine="one",
+    commit=None,
+    steps=1,
+    elapsed_s=1.0,
+    evaluations=(),
+    rollouts=(),
+)
 ARGUMENTS = ("--episodes", "1", "--workers", "1")
 
 
@@ -42,6 +56,18 @@ def test_what_the_report_says_is_measured_again_and_reported(here: Path) -> None
     again = CliRunner().invoke(app, ["reproduce", *ARGUMENTS])
     assert again.exit_code == 0, again.output
     assert "as before" in again.output
+
+
+def test_the_report_has_the_curves_that_are_kept_beside_the_earlier_results(here: Path) -> None:
+    for folder, experiment in (("results", "kept"), ("var/reproduced", "of-nobody")):
+        (here / folder / "curves").mkdir(parents=True)
+        curve = CURVE.model_copy(update={"experiment": experiment})
+        (here / folder / "curves" / "c.json").write_text(curve.model_dump_json())
+    result = CliRunner().invoke(app, ["reproduce", *ARGUMENTS])
+    assert result.exit_code == 0, result.output
+    text = (here / "var/reproduced/results.md").read_text()
+    assert "`kept`" in text
+    assert "of-nobody" not in text
 
 
 def test_a_rate_outside_the_earlier_interval_is_told_and_fails(here: Path) -> None:

@@ -38,7 +38,7 @@ def report(
     except (ResultsError, PolicyError) as error:
         typer.echo(f"report: {error}", err=True)
         raise typer.Exit(EXIT_USAGE) from error
-    typer.echo(f"{len(measured.results)} policies, {len(measured.curves)} trainings ({kept} of them new or newer)")
+    typer.echo(f"{len(measured.results)} policies, {len(measured.curves)} trainings ({kept} of them new or longer)")
     typer.echo(f"wrote {files[0]}, {files[1]} and {len(files) - 2} pictures")
     if shipped:
         typer.echo(f"wrote {cards.write(shipped, out)}: cards of {len(shipped)} models")

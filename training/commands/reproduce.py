@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -10,12 +11,11 @@ import typer
 from service.policy.model import Policy, PolicyError
 from training import paper
 from training.commands.evaluate import measure
-from training.commands.report import report
+from training.commands.refusal import refuse, refuse_without_extra
 from training.evaluate import FIRST_TEST_SEED
-from training.results import RESULTS, Results, ResultsError, Setting
+from training.results import RESULTS, Results, ResultsError, Setting, exclusive
 
 EXIT_DIFFERENT = 1
-EXIT_USAGE = 2
 
 
 def reproduce(
@@ -27,9 +27,14 @@ def reproduce(
 ) -> None:
     """Play all of the report's episodes again in the batched environment, and write the report of them.
 
-    What was played is kept: the same command again goes on. Fails if a success rate lies outside the 95 % interval of
-    the one that it is compared with.
+    What was played is kept: the same command again goes on. The report's learning curves are the earlier ones. Fails if
+    a success rate lies outside the 95 % interval of the one that it is compared with.
     """
+    try:
+        from training.report import curves, writing
+        from training.report.measured import Measured
+    except ImportError as error:
+        refuse_without_extra("reproduce", error)
     different = 0
     for model in sorted(models.glob("*.onnx")):
         name = f"{model.stem}.json"
@@ -38,15 +43,21 @@ def reproduce(
             settings = settings_of(model.stem, policy)
             if not settings:
                 continue
-            found = measure(model, policy, settings, results / name, episodes, workers or len(os.sched_getaffinity(0)))
+            with exclusive(results / name):
+                found = measure(
+                    model, policy, settings, results / name, episodes, workers or len(os.sched_getaffinity(0))
+                )
             earlier = Results.load(against / name) if (against / name).exists() else None
         except (PolicyError, ResultsError) as error:
-            typer.echo(f"reproduce: {error}", err=True)
-            raise typer.Exit(EXIT_USAGE) from error
+            refuse("reproduce", str(error))
         for line in compared(found, earlier, settings):
             different += line.startswith("DIFFERENT")
             typer.echo(line)
-    report(results=results, runs=Path("var/training"), out=results)
+    try:
+        measured = replace(Measured.read(results), curves=tuple(curves.load(against)))
+    except ResultsError as error:
+        refuse("reproduce", str(error))
+    typer.echo(f"wrote {writing.write(writing.document(measured), results)[0]}")
     if different:
         typer.echo(f"{different} success rates lie outside the interval of {against}", err=True)
         raise typer.Exit(EXIT_DIFFERENT)

@@ -37,11 +37,19 @@ class Experiment(Section):
     start_from: str | None = None
 
 
+class Beginning(Section):
+    """The weights that a training began with: their file, and the experiment that they are of, where that is known."""
+
+    file: str
+    experiment: str | None = None
+
+
 class Session(Section):
     steps: int
     began: str
     commit: str | None
     machine: str
+    began_with: Beginning | None = None
 
 
 class Validation(Section):
@@ -71,6 +79,12 @@ class Account(Section):
     elapsed_s: float | None = None
     validation: tuple[Validation, ...] = ()
 
+    @property
+    def began_with(self) -> str | None:
+        """Experiment or file whose weights the training began with; None: with none."""
+        noted = self.sessions[0].began_with if self.sessions else None
+        return self.experiment.start_from if noted is None else noted.experiment or noted.file
+
 
 def account(provenance: Mapping[str, JsonValue]) -> Account | None:
     """Read a provenance; None where something else wrote it."""
@@ -94,7 +108,7 @@ def told(provenance: Mapping[str, JsonValue]) -> Iterator[Block]:
 def _in_words(known: Account) -> Iterator[Block]:
     experiment, task = known.experiment, known.experiment.task
     low, high = task.clearance_mm
-    began = f", begun with the best weights of `{experiment.start_from}`" if experiment.start_from else ""
+    began = f", begun with weights of `{known.began_with}`" if known.began_with else ""
     spent = "" if known.elapsed_s is None else f" and {duration(known.elapsed_s)}"
     plant = "randomised" if task.randomise_plant else "nominal"
     yield Paragraph(

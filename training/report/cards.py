@@ -355,7 +355,7 @@ def _known_limits(card: Card) -> Iterator[str]:
         beyond = [part for part in contract.parts if part not in task.parts]
         low, high = task.clearance_mm
         least, most = (value * 1e3 for value in contract.clearance_m)
-        before = " (what it began with aside)" if account.experiment.start_from else ""
+        before = " (what it began with aside)" if account.began_with else ""
         if beyond:
             yield f"Admitted for parts that it was not trained on{before}: {', '.join(beyond)}."
         if least < low * (1 - 1e-9) or most > high * (1 + 1e-9):

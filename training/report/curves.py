@@ -2,11 +2,14 @@
 
 import json
 from collections.abc import Iterator
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from service.policy.observation import Mode
+from training import files
 from training.results import ResultsError
 
 FOLDER = "curves"
@@ -28,6 +31,7 @@ class Point(Section):
         clearance_mm: per face.
         part: peg and hole.
         conditions: distributions of its episodes.
+        episodes: that the rate is of.
         success: rate.
         return_mean: of the episodes' returns, in the experiment's own reward.
     """
@@ -37,6 +41,7 @@ class Point(Section):
     clearance_mm: float
     part: str
     conditions: str
+    episodes: int
     success: float
     return_mean: float
 
@@ -46,9 +51,9 @@ class Curve(Section):
 
     Attributes:
         experiment: its name.
-        title: what it is.
         seed: of network, exploration and tasks.
-        start_from: experiment whose best weights it began with; None: it began from nothing.
+        mode: what the policy observes.
+        start_from: experiment, or file, whose weights it began with; None: it began from nothing.
         reward: that returns are sums of.
         machine: processor and cores of its last session.
         commit: likewise.
@@ -59,8 +64,8 @@ class Curve(Section):
     """
 
     experiment: str
-    title: str
     seed: int
+    mode: Mode
     start_from: str | None
     reward: str
     machine: str
@@ -75,13 +80,23 @@ class Curve(Section):
         """Its name, and what it began with: steps and time before that are not in its own."""
         return f"`{self.experiment}`" + (f", after `{self.start_from}`" if self.start_from else "")
 
+    @property
+    def length(self) -> tuple[int, int]:
+        """Steps and evaluations: of two curves of one training the larger holds more."""
+        return self.steps, len(self.evaluations)
+
     def reached(self, success: float, clearance_mm: float) -> Point | None:
-        """The first evaluation of the triangle at a clearance with at least that success; None if there was none."""
+        """The first evaluation of the triangle at a clearance with at least that success; None if there was none.
+
+        One alone may be chance: the next one, if there is one, must have it too.
+        """
+        judged = [point for point in self.evaluations if point.part == "tr" and point.clearance_mm == clearance_mm]
+        pairs = zip_longest(judged, judged[1:])
         return next(
             (
                 point
-                for point in self.evaluations
-                if point.part == "tr" and point.clearance_mm == clearance_mm and point.success >= success
+                for point, after in pairs
+                if point.success >= success and (after is None or after.success >= success)
             ),
             None,
         )
@@ -94,6 +109,7 @@ class Curve(Section):
             return None
         account = json.loads((directory / "run.json").read_text())
         experiment, session = account["experiment"], account["sessions"][-1]
+        began_with = account["sessions"][0].get("began_with", {})
         evaluations = tuple(
             Point(
                 steps=record["steps"],
@@ -101,6 +117,7 @@ class Curve(Section):
                 clearance_mm=round(record["clearance_m"] * 1e3, 3),
                 part=record["part"],
                 conditions=record["conditions"],
+                episodes=record["episodes"],
                 success=record["successes"] / record["episodes"],
                 return_mean=record["return_mean"],
             )
@@ -110,9 +127,9 @@ class Curve(Section):
         updates = [(r["steps"], round(r["success"], 4)) for r in records if r["kind"] == "rollout" and "success" in r]
         return cls(
             experiment=experiment["name"],
-            title=experiment["title"],
             seed=account["seed"],
-            start_from=experiment["start_from"],
+            mode=experiment["task"]["mode"],
+            start_from=began_with.get("experiment", began_with.get("file", experiment["start_from"])),
             reward=experiment["task"]["reward"],
             machine=session["machine"],
             commit=session["commit"],
@@ -124,16 +141,24 @@ class Curve(Section):
 
 
 def collect(runs: Path, results: Path) -> int:
-    """Keep a curve of each training under `runs` beside the results; returns how many."""
-    kept = 0
+    """Keep a curve of each training under `runs` beside the results, unless a longer one of it is there.
+
+    Returns:
+        How many are new or longer than they were.
+
+    Raises:
+        ResultsError: a file in the place of a curve that holds none.
+    """
+    written = 0
     for directory in sorted(runs.glob("*/seed-*")):
         curve = Curve.of_run(directory)
-        if curve is not None:
-            path = results / FOLDER / f"{curve.experiment}-seed-{curve.seed}.json"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(curve.model_dump_json() + "\n")
-            kept += 1
-    return kept
+        if curve is None:
+            continue
+        path = results / FOLDER / f"{curve.experiment}-seed-{curve.seed}.json"
+        if not path.exists() or _load(path).length < curve.length:
+            files.write(path, curve.model_dump_json().encode() + b"\n")
+            written += 1
+    return written
 
 
 def load(results: Path) -> list[Curve]:
@@ -142,13 +167,14 @@ def load(results: Path) -> list[Curve]:
     Raises:
         ResultsError: a file that holds none.
     """
-    curves: list[Curve] = []
-    for path in sorted((results / FOLDER).glob("*.json")):
-        try:
-            curves.append(Curve.model_validate_json(path.read_bytes()))
-        except ValidationError as error:
-            raise ResultsError(f"{path} holds no learning curve: {error}") from error
-    return curves
+    return [_load(path) for path in sorted((results / FOLDER).glob("*.json"))]
+
+
+def _load(path: Path) -> Curve:
+    try:
+        return Curve.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        raise ResultsError(f"{path} holds no learning curve: {error}") from error
 
 
 def _records(path: Path) -> Iterator[dict[str, Any]]:

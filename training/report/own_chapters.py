@@ -7,7 +7,7 @@ import numpy as np
 
 from service.safety import dsl
 from training.paper import Comparison, Level, Locked
-from training.report import plots
+from training.report import plots, policies
 from training.report.document import Block, Heading, Judged, Paragraph, Picture, Table
 from training.report.measured import (
     NOT_MEASURED,
@@ -55,13 +55,15 @@ def glance(measured: Measured, comparison: Comparison) -> Iterator[Block]:
         (cell, measured.block(table.results, cell.clearance_mm, cell.part, conditions=table.conditions))
         for cell in table.cells
     ]
-    rates = [(cell.larger, block.rate) for cell, block in cells if block is not None]
-    above = sum(rate > larger for larger, rate in rates)
-    told = f"{above} of {len(rates)} measured" if rates else NOT_MEASURED
-    all_in = len(rates) == len(cells)
+    found = [(cell.larger, block) for cell, block in cells if block is not None]
+    above = sum(block.rate > larger for larger, block in found)
+    surely = sum(block.interval[0] > larger for larger, block in found)
+    few = min((len(block.episodes) for _, block in found), default=0)
+    told = f"{above} of {len(found)} measured, {surely} with the whole interval; n ≥ {few}" if found else NOT_MEASURED
+    all_in = len(found) == len(cells)
     lines.append(
         [
-            "cells of Table II above the paper's larger figure",
+            "cells of Table II above the paper's larger figure, by their rate, in the environment",
             f"{len(cells)} of {len(cells)}",
             told,
             _met(above == len(cells)) if all_in else NOT_MEASURED,
@@ -71,28 +73,29 @@ def glance(measured: Measured, comparison: Comparison) -> Iterator[Block]:
     block = measured.block(ftm.results, ftm.clearance_mm)
     lines.append(
         [
-            f"FTM-DSL at {ftm.clearance_mm:g} mm",
+            f"FTM-DSL at {ftm.clearance_mm:g} mm (`search`)",
             f"{ftm.target:.0%}".replace("%", " %"),
             success(block),
             NOT_MEASURED if block is None else _met(block.rate >= ftm.target),
         ]
     )
-    found = [measured.block(strength.results, level.clearance_mm) for level in strength.levels]
-    forces = [block.peaks[1] for block in found if block is not None]
-    told = f"**{max(forces):.1f} N** ({len(forces)} of {len(found)} clearances measured)" if forces else NOT_MEASURED
+    levels = [measured.block(strength.results, level.clearance_mm) for level in strength.levels]
+    forces = [block.peaks[1] for block in levels if block is not None]
+    told = f"**{max(forces):.1f} N** ({len(forces)} of {len(levels)} clearances measured)" if forces else NOT_MEASURED
     low_enough = max(forces, default=0.0) <= strength.peak_force_p99_n
     lines.append(
         [
             "p99 of the peak force, at the clearance where it is largest",
             f"at most {strength.peak_force_p99_n:g} N",
             told,
-            _met(low_enough) if len(forces) == len(found) or not low_enough else NOT_MEASURED,
+            _met(low_enough) if len(forces) == len(levels) or not low_enough else NOT_MEASURED,
         ]
     )
     yield Paragraph(
         "What this project's policies do in its simulated cell, beside what the paper reports. `dsl-assembly report` "
         "writes this page from the folder `results/`: no figure in it is typed by hand."
     )
+    yield from policies.misnamed(measured)
     yield Heading("At a glance")
     yield Table(["", "wanted", "measured", "verdict"], lines)
 
@@ -102,7 +105,7 @@ def conditions(measured: Measured, comparison: Comparison) -> Iterator[Block]:
     yield Heading("Conditions")
     yield Paragraph(
         "Deterministic policies, each seed played once, test seeds from 1 000 000 up: training draws its seeds from "
-        "2³² up and chooses models by seeds from 500 000 to 999 999. Success: the peg's bottom more than 2.5 mm below "
+        "2³² up and chooses models by seeds from 500 000 to 999 999. Success: the peg's bottom at least 2.5 mm below "
         "the hole's mouth with the peg's axis inside the hole, at the episode's end. Intervals are 95 % Wilson "
         "intervals. Peak force is the largest resultant over every 2 ms sample of an episode, as the cell's sensor has "
         "it, noise included; tables give median / 99th percentile / maximum over episodes. c is the clearance per "
@@ -118,32 +121,7 @@ def conditions(measured: Measured, comparison: Comparison) -> Iterator[Block]:
         yield Paragraph(
             f"Measured {span} on {' and '.join(machines)}, with {', '.join(packages)}, at {', '.join(commits)}."
         )
-    lines: list[list[str | Judged]] = []
-    for name, results in measured.results.items():
-        episodes = sum(len(block.episodes) for block in results.blocks)
-        lines.append(
-            [
-                f"`{name}`",
-                results.mode,
-                results.lock,
-                f"{1 / results.period_s:g} Hz, {results.max_steps} steps",
-                " / ".join(f"{value:g}" for value in results.stiffness),
-                ", ".join(sorted({f"{b.setting.force_ceiling_n:g} N" for b in results.blocks})),
-                str(episodes),
-                f"`{results.sha256[:12]}`",
-            ]
-        )
-    header = [
-        "policy",
-        "observes",
-        "lock",
-        "rate",
-        "stiffness x y z, N/m, and about them, N·m/rad",
-        "ceiling",
-        "episodes",
-        "SHA-256",
-    ]
-    yield Table(header, lines, folded=f"Rate, law and file of all {len(lines)} policies")
+    yield from policies.tables(measured)
 
 
 def strength(measured: Measured, comparison: Comparison) -> Iterator[Block]:
@@ -201,7 +179,8 @@ def force(measured: Measured, comparison: Comparison) -> Iterator[Block]:
     yield Paragraph(
         "The same worlds under different locks. Success and forces of all episodes come first. At equal success: of "
         f"the seeds that both {first.name} and the other insert, the peak forces of each, and in how many of them "
-        f"{first.name} has the lower peak. Policies put under another lock were not trained for it."
+        f"{first.name} has the lower peak. Policies put under another lock were not trained for it. "
+        + policies.trained(measured, [row.results for row in comparison.force.rows])
     )
     panels: list[tuple[str, list[tuple[str, list[float]]]]] = []
     for clearance in comparison.force.clearance_mm:

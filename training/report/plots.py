@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c3e")
-"""Told apart by colour-blind readers too (Okabe and Ito)."""
+"""Told apart by colour-blind readers too (Okabe and Ito). Series beyond them begin anew, dashed."""
+DASHES = ("-", "--", ":")
 PAPER = "#333333"
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -85,7 +86,7 @@ def success_by_clearance(
             y = np.array([rate.rate for rate in rates])
             reach = np.abs(np.array([[rate.low, rate.high] for rate in rates]).T - y)
             axes.errorbar(
-                x, y, reach, color=_colour(number), marker="o", markersize=4.5, linewidth=1.6, capsize=3, label=name
+                x, y, reach, **_look(number), marker="o", markersize=4.5, linewidth=1.6, capsize=3, label=name
             )
         if targets:
             axes.scatter(*zip(*targets, strict=True), marker="_", s=260, linewidth=2, color="#8a94a1", label="target")
@@ -117,8 +118,8 @@ def learning(lines: Sequence[Line], returns: Sequence[Line], reward: str) -> str
                 x = np.array(line.x) / 1e6
                 if len(line.y) > 1:
                     for row in line.y:
-                        axes.plot(x, row, color=_colour(number), linewidth=0.7, alpha=0.4)
-                axes.plot(x, np.mean(line.y, axis=0), color=_colour(number), linewidth=2.0, label=line.name)
+                        axes.plot(x, row, **_look(number), linewidth=0.7, alpha=0.4)
+                axes.plot(x, np.mean(line.y, axis=0), **_look(number), linewidth=2.0, label=line.name)
             axes.set_xlabel("environment steps, millions")
             axes.set_xlim(left=0)
         left.set_title("success")
@@ -142,8 +143,9 @@ def against_paper(rows: Sequence[Compared]) -> str:
             for name, rate, low, high in row.ours:
                 place = names.index(name)
                 level = y + lift * (place + 1)
-                axes.hlines(level, low, high, color=_colour(place), linewidth=1.6)
-                axes.scatter([rate], [level], s=30, color=_colour(place), zorder=3, label=name)
+                look = _look(place)
+                axes.hlines(level, low, high, **look, linewidth=1.6)
+                axes.scatter([rate], [level], s=30, color=look["color"], zorder=3, label=name)
         axes.set_yticks(range(len(rows)), [row.name for row in rows])
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.grid(visible=False, axis="y")
@@ -164,22 +166,25 @@ def peak_forces(panels: Sequence[tuple[str, Sequence[tuple[str, Sequence[float]]
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(9.2, 3.5))
         many = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+        series_names = list(dict.fromkeys(name for _, series in panels for name, _ in series))
         for axes, (title, series) in zip(many, panels, strict=True):
-            for number, (name, peaks) in enumerate(series):
+            for name, peaks in series:
                 if len(peaks):
-                    axes.ecdf(peaks, color=_colour(number), linewidth=1.8, label=name)
+                    axes.ecdf(peaks, **_look(series_names.index(name)), linewidth=1.8, label=name)
             axes.axvline(limit_n, color="#8a94a1", linestyle=":", linewidth=1.2)
             axes.set_title(title)
             axes.set_xlabel("peak force of an episode, N")
             axes.set_xlim(left=0)
             _as_rate(axes)
         many[0].set_ylabel("episodes below it")
-        _legend(figure, many[0])
+        _legend(figure, *many)
         return _svg(figure)
 
 
-def _colour(number: int) -> str:
-    return COLOURS[number % len(COLOURS)]
+def _look(number: int) -> dict[str, Any]:
+    """Colour and dashes of a series."""
+    again, colour = divmod(number, len(COLOURS))
+    return {"color": COLOURS[colour], "linestyle": DASHES[again % len(DASHES)]}
 
 
 def _as_rate(axes: Axes) -> None:
@@ -187,10 +192,12 @@ def _as_rate(axes: Axes) -> None:
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-def _legend(figure: Figure, axes: Axes) -> None:
+def _legend(figure: Figure, *panels: Axes) -> None:
     """Name every series once, to the right of the panels."""
-    handles, names = axes.get_legend_handles_labels()
-    once = dict(zip(names, handles, strict=True))
+    once: dict[str, Any] = {}
+    for axes in panels:
+        handles, names = axes.get_legend_handles_labels()
+        once = dict(zip(names, handles, strict=True)) | once
     figure.legend(once.values(), once.keys(), loc="outside right upper", fontsize=9.5)
 
 

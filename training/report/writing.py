@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from training import paper
+from training import files, paper
 from training.report import own_chapters as own
 from training.report import paper_chapters as others
 from training.report.document import Document
@@ -33,14 +33,19 @@ def document(measured: Measured) -> Document:
 
 
 def write(report: Document, folder: Path) -> list[Path]:
-    """Write `results.html`, `results.md` and the pictures of the latter; returns the files."""
+    """Write `results.html`, `results.md` and the pictures of the latter, and remove pictures of an earlier report.
+
+    Returns:
+        The files that were written.
+    """
     pictures = folder / "pictures" / PICTURES
-    pictures.mkdir(parents=True, exist_ok=True)
-    files = {
+    texts = {
         folder / "results.html": report.to_html(),
         folder / "results.md": report.to_markdown(pictures.relative_to(folder)),
         **{pictures / f"{picture.name}.svg": picture.svg for picture in report.pictures},
     }
-    for path, text in files.items():
-        path.write_text(text)
-    return list(files)
+    for path, text in texts.items():
+        files.write(path, text.encode())
+    for path in set(pictures.glob("*.svg")) - texts.keys():
+        path.unlink()
+    return list(texts)

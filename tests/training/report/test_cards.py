@@ -57,6 +57,9 @@ def card(contract: PolicyContract | None = None, *blocks: Block, name: str = "p"
 def results_of(contract: PolicyContract, sha256: str, *blocks: Block) -> Results:
     return Results(
         policy=contract.name,
+        sources="0" * 64,
+        press_m=contract.dsl.press_m,
+        seek_step_m=contract.dsl.seek_step_m,
         sha256=sha256,
         mode=contract.mode,
         lock=contract.dsl.mode,
@@ -142,7 +145,7 @@ def test_results_of_another_file_do_not_count(tmp_path: Path) -> None:
 def test_what_export_wrote_is_told_in_words_and_where_admission_goes_beyond_it() -> None:
     contract = design.contract_for("VFTM", "paper", ("tr", "cir"), clearance_m=(0.1e-3, 2e-3), hidden_size=128)
     text = told(card(contract.model_copy(update={"provenance": EXPORTED})))
-    line_with(text, "Experiment `narrow`", "(One part \\| tight)", "seed 3, begun with the best weights of `wide`")
+    line_with(text, "Experiment `narrow`", "(One part \\| tight)", "seed 3, begun with weights of `wide`")
     line_with(text, "after 1.50 of 2.00 million steps and 60 min", "Trained on tr at 0.5 to 2 mm")
     line_with(text, "tr at 1.33 mm, `standard`: 90.0 % of 100")
     line_with(text, "| 0 | 2026-01-01T00:00:00Z | `abcdef012` | one |")
