@@ -38,7 +38,7 @@ class Situation:
         yaw_error: from the nearest matching yaw.
         depth: of the peg's bottom below the mouth, negative above it.
         peak_force: largest resultant of the episode until then.
-        success: the peg went in, now.
+        success: the peg has reached the goal depth inside the hole, now: deeper than what counts as success later.
         fault: the force ceiling or the arm stopped the episode.
     """
 
@@ -63,7 +63,7 @@ def potential(situation: Situation, goal_depth_m: float, force_cost_per_n: float
 
 
 def potential_reward(before: Array, after: Array, situation: Situation) -> Array:
-    """Change of the potential, a cost per step, a bonus for success, a cost for a fault.
+    """Change of the potential, a cost per step, a bonus at the goal depth, a cost for a fault.
 
     The change is taken without a discount: with a negative potential, a discount in it pays for standing still.
     """

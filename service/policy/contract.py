@@ -179,7 +179,7 @@ class PolicyContract(Section):
     Attributes:
         schema_version: of this document.
         name: of the policy.
-        parts: that it was trained for.
+        parts: that it may be used for.
         clearance_m: least and largest clearance per face that it may be used at.
         mode: what it observes. VFTM: hole and contact; FTM: contact; VM: hole.
         tick_s: period of the control law, s.
@@ -303,7 +303,7 @@ class PolicyContract(Section):
                 f"the policy wants a tick of {self.tick_s * 1e3:g} ms, the cell has {cell.tick_s * 1e3:g} ms"
             )
         if cell.part not in self.parts:
-            reasons.append(f"the policy was trained for {', '.join(self.parts)}, the cell assembles {cell.part}")
+            reasons.append(f"the policy is for {', '.join(self.parts)}, the cell assembles {cell.part}")
         low, high = self.clearance_m
         if cell.clearance_m is not None and not low <= cell.clearance_m <= high:
             reasons.append(

@@ -112,6 +112,7 @@ def test_a_law_of_its_own_goes_into_the_contract(tmp_path: Path) -> None:
         ("steps = 1000", "steps = 1000\ncells = 2\nminibatches = 3", r"3 minibatches are more than 2 cells"),
         ("[task]", '[task]\nparts = ["tr", "rtr", "cir"]', r"algorithm\.workers is 2, .* over 3 parts"),
         ("[task]", '[task]\nparts = ["tr", "tr"]', r"parts names one more than once"),
+        ("[task]", "[task]\nforce_ceiling_n = 60.0", r"force_ceiling_n: .*less than or equal to 50"),
         ("[task]", '[task]\nmode = "VM"', r"VM bypasses the lock"),
         ("[task]", '[task]\nmode = "FTM"', r"too far from the nominal centre"),
         ("[task]", '[task]\nreward = "praise"', r"task\.reward: "),

@@ -109,7 +109,7 @@ async def test_29_a_broken_policy_refuses_its_recipe_and_the_cell_is_well(
 async def test_27_a_contract_that_does_not_fit_is_refused_with_the_mismatch(tmp_path: Path) -> None:
     policy = policies.still(tmp_path, parts=("cir",))
     async with lockstep_cell(cell_config(tmp_path / "state", policy)) as bench:
-        with pytest.raises(AssertionError, match="trained for cir, the cell assembles tr"):
+        with pytest.raises(AssertionError, match="the policy is for cir, the cell assembles tr"):
             await bench.start()
         assert bench.cell.state is CellState.READY
 

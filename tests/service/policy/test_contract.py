@@ -181,7 +181,7 @@ def test_a_cell_that_offers_everything_can_run_it() -> None:
     ("changes", "says"),
     [
         ({"tick_s": 0.008}, "tick of 2 ms, the cell has 8 ms"),
-        ({"part": "cir"}, "trained for tr, the cell assembles cir"),
+        ({"part": "cir"}, "the policy is for tr, the cell assembles cir"),
         ({"clearance_m": 0.1e-3}, "0.3 to 2 mm per face, the cell has 0.1 mm"),
         ({"camera": False}, "'hole_offset_xy' needs a camera's estimate of the hole"),
         ({"force_torque": False}, "'force_mean' needs a force/torque sensor"),
