@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from service.policy.model import Policy
+from training import files
 from training.commands.refusal import refuse_without_extra
 
 
@@ -33,6 +34,5 @@ def baseline(
         Baseline.STILL: scripts.still,
     }[which]()
     policy = Policy(data, source=str(out))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_bytes(data)
+    files.write(out, data)
     typer.echo(f"wrote {out}: {policy.contract.name}, {len(data)} bytes, SHA-256 {policy.sha256}")

@@ -41,7 +41,13 @@ def tables(measured: Measured) -> Iterator[Block]:
             ]
         )
     header = ["results", "name in the file", "observes", "lock", "press below the lock, step before contact", "rate"]
-    header += ["stiffness x y z, N/m, and about them, N·m/rad", "ceiling", "episodes", "SHA-256", "of the sources"]
+    header += [
+        "stiffness x y z, N/m, and about them, N·m/rad",
+        "ceiling",
+        "episodes",
+        "SHA-256 of the file",
+        "of the sources",
+    ]
     yield Table(header, lines, folded=f"Rate, law, lock and file of all {len(lines)} policies")
     sources = {results.sources for results in measured.results.values()}
     if len(sources) > 1:
@@ -68,7 +74,7 @@ def pressing(measured: Measured, names: Iterable[str]) -> str:
     below = [f"`{name}` by {results.press_m * 1e3:g} mm" for name, results in locked.items() if results.press_m]
     steps = sorted({f"{results.seek_step_m * 1e3:g} mm" for results in locked.values()})
     return (
-        f"The paper's lock lets no command go below it; of ours {', '.join(below) or 'none'} may. Before contact it "
+        f"The paper's lock lets no command go below it; of ours {', '.join(below) or 'none'} may. Before contact ours "
         f"steps down by {' or '.join(steps)}."
     )
 

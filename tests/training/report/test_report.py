@@ -216,7 +216,7 @@ def test_what_a_lock_allows_beyond_the_papers_is_said() -> None:
         "vftm-sliding": results(block(30, lock="sliding"), lock="sliding", press_m=7e-3),
     }
     text = told(Measured(found, ()))
-    assert "of ours `vftm-dsl` by 3 mm may. Before contact it steps down by 3 mm." in text
+    assert "of ours `vftm-dsl` by 3 mm may. Before contact ours steps down by 3 mm." in text
     line_with(text, "| paper | 3 mm, 3 mm | 10 Hz")
     line_with(text, "| paper | 0 mm, 3 mm | 10 Hz")
 
