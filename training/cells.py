@@ -1,5 +1,7 @@
 """The cells of one worker of a training. Apart, because a worker loads no torch."""
 
+import math
+
 from training.episodes import TaskSource
 from training.experiment import Experiment
 from training.insertion import Insertions
@@ -20,6 +22,7 @@ def make_cells(experiment: Experiment, seed: int, steps: int, worker: int) -> En
         force_ceiling_n=task.force_ceiling_n,
         reward_name=task.reward,
         force_cost_per_n=task.force_cost_per_n,
+        start_yaw_rad=math.radians(task.start_yaw_deg),
     )
     source = TaskSource(part, task.clearance_m, task.conditions, task.randomise_plant)
     return EndlessInsertions(insertions, source, [seed, worker, steps])

@@ -23,6 +23,8 @@ FOLDER = Path(__file__).parent / "experiments"
 Count = Annotated[int, Field(ge=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+MAX_START_YAW_DEG = 80.0
+"""Within the yaw that commands are bounded to."""
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -45,6 +47,7 @@ class TaskSection(Section):
         clearance_mm: range of clearances per face to draw from, tight ones more often.
         conditions: distributions of an episode, see `docs/conditions.md`.
         randomise_plant: friction, stiffness, delay and mass vary.
+        start_yaw_deg: half range of the tool's yaw at an episode's beginning; a cell and every evaluation begin at 0.
         reward: of `training.reward`.
         force_cost_per_n: in the reward `potential`, of the episode's peak force above 12 N.
         max_steps: of an episode.
@@ -57,6 +60,7 @@ class TaskSection(Section):
     clearance_mm: tuple[Positive, Positive]
     conditions: Conditions = "standard"
     randomise_plant: bool = True
+    start_yaw_deg: Annotated[float, Field(ge=0, le=MAX_START_YAW_DEG)] = 0.0
     reward: RewardName = "potential"
     force_cost_per_n: NotNegative = FORCE_COST_PER_N
     max_steps: Count = design.MAX_STEPS

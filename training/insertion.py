@@ -81,6 +81,7 @@ class Insertions:
         force_ceiling_n: resultant at which the cell stops, N.
         reward_name: which reward.
         force_cost_per_n: in the reward `potential`, of the episode's peak above `reward.FORCE_FREE_N`.
+        start_yaw_rad: half range about the start pose's yaw at which episodes begin, by their seed; for training.
     """
 
     def __init__(
@@ -92,12 +93,14 @@ class Insertions:
         force_ceiling_n: float = 30.0,
         reward_name: RewardName = "potential",
         force_cost_per_n: float = reward.FORCE_COST_PER_N,
+        start_yaw_rad: float = 0.0,
     ) -> None:
         self.contract = contract
         self.n = n
         self.world = World(n, part, threads)
         self._reward_name = reward_name
         self._force_cost_per_n = force_cost_per_n
+        self._start_yaw_rad = start_yaw_rad
         self._limits = Limits(force_ceiling_n=force_ceiling_n)
         law = contract.compliance
         self._law = np.array(law.stiffness), np.array(law.damping), np.array(law.inertia)
@@ -137,7 +140,8 @@ class Insertions:
         world.reset(cells, tasks)
         known = self._nominal[cells] if self.contract.mode == "FTM" else world.camera(cells)
         hover = known + np.column_stack([np.zeros((len(cells), 2)), world.hover(cells)])
-        world.place(cells, hover, self._start_yaw[cells])
+        turned = [self._start_yaw_rad * np.random.default_rng([task.seed, 1]).uniform(-1.0, 1.0) for task in tasks]
+        world.place(cells, hover, self._start_yaw[cells] + turned)
         world.zero_ft(cells)
         world.engage(cells, *self._law, self._limits)
         mask = np.zeros(self.n, np.bool_)

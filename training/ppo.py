@@ -13,6 +13,8 @@ from training.rollout import Rollout
 CLIP = 0.2
 VALUE_WEIGHT = 0.5
 GRADIENT_NORM = 0.5
+EXCESS_WEIGHT = 0.05
+"""Of the square of what a mean action exceeds ±1 by: far out there, exploration never comes back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +58,13 @@ def update(
             value_loss = ((network.value(features, hidden) - returns[:, cells]) ** 2).mean()
             truth = features[..., network.seen :][..., AIM]
             auxiliary_loss = ((guess - truth) ** 2).mean()
+            excess_loss = ((mean.abs() - 1.0).clamp(min=0.0) ** 2).mean()
             loss = (
                 policy_loss
                 + VALUE_WEIGHT * value_loss
                 - algorithm.entropy * network.log_std.sum()
                 + algorithm.auxiliary_weight * auxiliary_loss
+                + EXCESS_WEIGHT * excess_loss
             )
             optimiser.zero_grad()
             loss.backward()

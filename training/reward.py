@@ -21,8 +21,8 @@ PAPER_SCALE = 1.0
 OFFSET_SCALE_M = 5e-3
 YAW_SCALE_RAD = 0.5
 HEIGHT_SCALE_M = 10e-3
-STEP_COST = 0.03
-SUCCESS_BONUS = 5.0
+STEP_COST = 0.01
+SUCCESS_BONUS = 10.0
 FAULT_COST = 2.0
 FORCE_FREE_N = 12.0
 """An honest press by the law, 9 N, reads as much with its noise."""
