@@ -155,6 +155,18 @@ class World:
         self._batch.forward(None if len(cells) == self.n else cells.astype(np.int32))
         self._measure()
 
+    def move_hole(self, cells: Cells, position: Array, yaw: Array) -> None:
+        """Have the holes of `cells` elsewhere from now on, as a block that slips does; the camera does not notice.
+
+        Args:
+            cells: (k,) which.
+            position: (k, 3) centre of the mouth, m.
+            yaw: (k,) rad.
+        """
+        half = 0.5 * yaw
+        self._block_position[cells] = position
+        self._block_quat[cells] = np.column_stack([np.cos(half), np.zeros((len(cells), 2)), np.sin(half)])
+
     def zero_ft(self, cells: Cells) -> None:
         """Zero the sensors of `cells`; whoever commands refuses it while engaged, and it is meaningless in contact."""
         self.sensor.zero(cells)

@@ -36,6 +36,12 @@ GOAL_DEPTH_M = 4.0e-3
 PRIVILEGED_SIZE = 10
 AIM = slice(2, 6)
 """Where `Insertions.privileged` says how the peg must move to be right above the hole."""
+SLIP_STEPS = (25, 75)
+"""Policy steps between which a hole slips, where holes do."""
+SLIP_SIGMA_M = 1e-3
+SLIP_YAW_RAD = float(np.deg2rad(60))
+SLIP_DEPTH_M = 1e-4
+"""A hole slips only while the peg is less deep in it."""
 LIMITS = Limits()
 
 
@@ -82,6 +88,7 @@ class Insertions:
         reward_name: which reward.
         force_cost_per_n: in the reward `potential`, of the episode's peak above `reward.FORCE_FREE_N`.
         start_yaw_rad: half range about the start pose's yaw at which episodes begin, by their seed; for training.
+        slips: share of the episodes in which the hole slips once to another place and yaw; for training.
     """
 
     def __init__(
@@ -94,6 +101,7 @@ class Insertions:
         reward_name: RewardName = "potential",
         force_cost_per_n: float = reward.FORCE_COST_PER_N,
         start_yaw_rad: float = 0.0,
+        slips: float = 0.0,
     ) -> None:
         self.contract = contract
         self.n = n
@@ -101,6 +109,9 @@ class Insertions:
         self._reward_name = reward_name
         self._force_cost_per_n = force_cost_per_n
         self._start_yaw_rad = start_yaw_rad
+        self._slips = slips
+        self._slip_at = np.full(n, -1)
+        self._slip = np.zeros((n, 3))
         self._limits = Limits(force_ceiling_n=force_ceiling_n)
         law = contract.compliance
         self._law = np.array(law.stiffness), np.array(law.damping), np.array(law.inertia)
@@ -140,8 +151,7 @@ class Insertions:
         world.reset(cells, tasks)
         known = self._nominal[cells] if self.contract.mode == "FTM" else world.camera(cells)
         hover = known + np.column_stack([np.zeros((len(cells), 2)), world.hover(cells)])
-        turned = [self._start_yaw_rad * np.random.default_rng([task.seed, 1]).uniform(-1.0, 1.0) for task in tasks]
-        world.place(cells, hover, self._start_yaw[cells] + turned)
+        world.place(cells, hover, self._start_yaw[cells] + self._vary(cells, tasks))
         world.zero_ft(cells)
         world.engage(cells, *self._law, self._limits)
         mask = np.zeros(self.n, np.bool_)
@@ -163,6 +173,7 @@ class Insertions:
     def step(self, action: npt.ArrayLike) -> Outcome:
         """One policy step of every cell; `action` (n, action size) in [-1, 1]. Finished cells must be reset before."""
         world, contract = self.world, self.contract
+        self._slip_holes()
         action = np.asarray(action, np.float64)
         yaw = np.asarray(pose.yaw_of(world.rotation))
         wrench = self._window[-contract.wrench_window_ticks :].mean(0)
@@ -236,6 +247,29 @@ class Insertions:
                 self.peak_force / 20.0,
             ]
         ).astype(np.float32)
+
+    def _vary(self, cells: Cells, tasks: Sequence[Task]) -> Array:
+        """Draw what only training varies; (k,) the yaw at which the episodes begin, about that of the start pose."""
+        turned = np.zeros(len(cells))
+        for i, (cell, task) in enumerate(zip(cells, tasks, strict=True)):
+            rng = np.random.default_rng([task.seed, 1])
+            turned[i] = self._start_yaw_rad * rng.uniform(-1.0, 1.0)
+            self._slip_at[cell] = rng.integers(*SLIP_STEPS) if rng.uniform() < self._slips else -1
+            self._slip[cell] = *rng.normal(0.0, SLIP_SIGMA_M, 2), rng.uniform(-SLIP_YAW_RAD, SLIP_YAW_RAD)
+        return turned
+
+    def _slip_holes(self) -> None:
+        """Move the holes that are due; that they were nearer or farther before earns nothing."""
+        due = np.flatnonzero((self._slip_at >= 0) & (self.steps >= self._slip_at) & (self.world.depth < SLIP_DEPTH_M))
+        if not due.size:
+            return
+        self._slip_at[due] = -1
+        position = self.world.hole_position[due]
+        position[:, :2] += self._slip[due, :2]
+        self.world.move_hole(due, position, self._slip[due, 2])
+        nobody = np.zeros(self.n, np.bool_)
+        now = reward.potential(self._situation(nobody, nobody), GOAL_DEPTH_M, self._force_cost_per_n)
+        self._potential[due] = now[due]
 
     def _yaw_error(self) -> Array:
         """(n,) from the nearest matching yaw, rad; zero for a round peg."""

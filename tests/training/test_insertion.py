@@ -245,3 +245,36 @@ def test_an_episode_leaves_nothing_behind_in_the_next() -> None:
         one, other = facts(fresh.step(action)), facts(used.step(action))
         for name in one:
             assert np.array_equal(one[name], other[name], equal_nan=name == "z_lock"), name
+
+
+# --- what only training varies
+
+
+def test_training_episodes_begin_turned_by_their_seed_and_no_others_do() -> None:
+    def begun_at(start_yaw_rad: float) -> np.ndarray:
+        cells = Insertions(design.contract_for(), 3, start_yaw_rad=start_yaw_rad)
+        cells.reset(EVERYONE, TASKS)
+        return np.asarray(pose.yaw_of(cells.world.rotation)) - START_YAW_RAD
+
+    assert np.abs(begun_at(0.0)).max() < 1e-9
+    turned = begun_at(1.3)
+    assert np.ptp(turned) > 0.3
+    assert np.abs(turned).max() < 1.3
+    assert np.array_equal(turned, begun_at(1.3))
+
+
+def test_a_hole_slips_once_in_a_training_episode_earns_nothing_by_it_and_the_camera_does_not_notice() -> None:
+    slipping, still = Insertions(design.contract_for(), 1, slips=1.0), Insertions(design.contract_for(), 1)
+    for cells in (slipping, still):
+        cells.reset(np.arange(1), TASKS[:1])
+    moves, up = 0, np.array([[0.0, 0.0, 1.0, 0.0]])
+    for _ in range(80):
+        before = slipping.world.hole_position.copy(), slipping.world.hole_yaw.copy()
+        outcome, other = slipping.step(up), still.step(up)
+        moved = not np.array_equal(before[0], slipping.world.hole_position)
+        assert moved == (before[1][0] != slipping.world.hole_yaw[0])
+        moves += moved
+        assert outcome.reward == pytest.approx(other.reward, abs=0.02)  # the jump itself would be worth more than 0.1
+        assert np.array_equal(outcome.observation, other.observation)
+    assert moves == 1
+    assert slipping.world.hole_position[0, 2] == still.world.hole_position[0, 2]
