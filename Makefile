@@ -11,7 +11,7 @@ PORT ?= 8000
 ONCE ?=
 SEED ?=
 MODEL ?= models/triangle-vftm.onnx
-EXPERIMENT ?= vftm-dsl
+EXPERIMENT ?= vftm-dsl-wide
 BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.installed-runtime
 TRAINING := $(VENV)/.installed-training
@@ -87,7 +87,7 @@ docs-check: $(DEV) ## links between documents, and the documents that must exist
 # --- training and measurements --------------------------------------------------------------------------------------
 
 .PHONY: train evaluate reproduce report benchmark
-train: $(TRAINING) ## train an experiment, or go on with it: hours (EXPERIMENT=vftm-dsl; ARGS=--help)
+train: $(TRAINING) ## train an experiment, or go on with it: hours (EXPERIMENT=vftm-dsl-wide; ARGS=--help)
 	$(BIN)/dsl-assembly train $(EXPERIMENT) $(ARGS)
 
 evaluate: $(TRAINING) ## success over fresh seeds, with intervals (ARGS="MODEL --episodes 500 ..."; ARGS=--help)
