@@ -102,7 +102,7 @@ def configured(tmp_path: Path, **replaced: str) -> tuple[Path, str]:
         "tcp/127.0.0.1:7447": cell,
         "tcp/127.0.0.1:7448": sim,
         '"../var/cell-1"': '"state"',
-        "../models/triangle-vftm.onnx": "still.onnx",
+        "../models/vftm-dsl.onnx": "still.onnx",
         "sample_age_s = 0.08": "sample_age_s = 0.25\ntarget_age_s = 0.6\npolicy_deadline_s = 0.5",
         **replaced,
     }.items():
