@@ -43,8 +43,8 @@ JOINT_ARMATURE_KGM2 = (0.12, 0.12, 0.12, 0.02, 0.02, 0.02)
 """Rotor inertia behind the gears. An assumption: UR publishes none."""
 JOINT_DAMPING_RATIO = 1.0
 
-# overdamped: a peg jammed between two walls vibrates on without it under a stopped arm; figures in docs/conditions.md
-_CONTACT = {"solref": [0.008, 1.5], "solimp": [0.95, 0.99, 0.0005, 0.5, 2.0]}
+# stiffer ones leave a jammed peg vibrating under a stopped arm: figures in docs/conditions.md
+_CONTACT = {"solref": [0.012, 1.0], "solimp": [0.95, 0.99, 0.0005, 0.5, 2.0]}
 
 
 @dataclass(frozen=True, slots=True)
