@@ -117,8 +117,7 @@ class World:
             episode = draw(task)
             self._episodes[cell] = episode
             self.clearance[cell] = task.clearance_m
-            self._block_position[cell] = episode.hole_position
-            self._block_quat[cell] = [np.cos(episode.hole_yaw / 2), 0, 0, np.sin(episode.hole_yaw / 2)]
+            self.move_hole(np.array([cell]), episode.hole_position[None], np.array([episode.hole_yaw]))
             self._wall_position[cell, walls, :2] = wall_centres(
                 self._scene.part, task.clearance_m, scene.WALL_HALF_THICKNESS_M
             )

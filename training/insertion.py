@@ -164,8 +164,7 @@ class Insertions:
         self._target_yaw[cells] = pose.yaw_of(world.rotation[cells])
         self.steps[cells] = 0
         self.peak_force[cells] = 0.0
-        fresh = self._situation(np.zeros(self.n, np.bool_), np.zeros(self.n, np.bool_))
-        self._potential[cells] = reward.potential(fresh, GOAL_DEPTH_M, self._force_cost_per_n)[cells]
+        self._shape_anew(cells)
         self._memory, seen = self._builder.build(self._memory, self._measure(), mask)
         self.observation = np.where(mask[:, None], seen, self.observation)
         return self.observation
@@ -251,6 +250,8 @@ class Insertions:
     def _vary(self, cells: Cells, tasks: Sequence[Task]) -> Array:
         """Draw what only training varies; (k,) the yaw at which the episodes begin, about that of the start pose."""
         turned = np.zeros(len(cells))
+        if not (self._start_yaw_rad or self._slips):
+            return turned
         for i, (cell, task) in enumerate(zip(cells, tasks, strict=True)):
             rng = np.random.default_rng([task.seed, 1])
             turned[i] = self._start_yaw_rad * rng.uniform(-1.0, 1.0)
@@ -267,9 +268,13 @@ class Insertions:
         position = self.world.hole_position[due]
         position[:, :2] += self._slip[due, :2]
         self.world.move_hole(due, position, self._slip[due, 2])
+        self._shape_anew(due)
+
+    def _shape_anew(self, cells: Cells) -> None:
+        """Let the reward of `cells` count from where they are now."""
         nobody = np.zeros(self.n, np.bool_)
         now = reward.potential(self._situation(nobody, nobody), GOAL_DEPTH_M, self._force_cost_per_n)
-        self._potential[due] = now[due]
+        self._potential[cells] = now[cells]
 
     def _yaw_error(self) -> Array:
         """(n,) from the nearest matching yaw, rad; zero for a round peg."""

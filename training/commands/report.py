@@ -6,9 +6,8 @@ from typing import Annotated
 import typer
 
 from service.policy.model import PolicyError
+from training.commands.refusal import refuse, refuse_without_extra
 from training.results import RESULTS, ResultsError
-
-EXIT_USAGE = 2
 
 
 def report(
@@ -28,16 +27,14 @@ def report(
         from training.report import cards, curves, writing
         from training.report.measured import Measured
     except ImportError as error:
-        typer.echo(f"report: it needs the extra `training` ({error}): make setup-training", err=True)
-        raise typer.Exit(EXIT_USAGE) from error
+        refuse_without_extra("report", error)
     try:
         kept = curves.collect(runs, results)
         measured = Measured.read(results)
         shipped = cards.read(models, measured)
         files = writing.write(writing.document(measured), out)
     except (ResultsError, PolicyError) as error:
-        typer.echo(f"report: {error}", err=True)
-        raise typer.Exit(EXIT_USAGE) from error
+        refuse("report", str(error))
     typer.echo(f"{len(measured.results)} policies, {len(measured.curves)} trainings ({kept} of them new or longer)")
     typer.echo(f"wrote {files[0]}, {files[1]} and {len(files) - 2} pictures")
     if shipped:

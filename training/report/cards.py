@@ -18,7 +18,7 @@ from service.policy.model import Policy
 from service.policy.observation import ENTRIES, Need
 from service.safety import dsl
 from sim_backend.protocol.task import Part
-from training import paper
+from training import files, paper
 from training.report import accounts
 from training.report.document import Block, Document, Heading, Judged, Paragraph, Table
 from training.report.measured import NOT_MEASURED, Measured, commit_name, interval, mean_steps, peaks, percent
@@ -141,9 +141,8 @@ def read(models: Path, measured: Measured) -> list[Card]:
 
 def write(cards: Sequence[Card], folder: Path) -> Path:
     """Write the page of all cards; returns its file."""
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / PAGE
-    path.write_text(document(cards).to_markdown(Path("pictures")))
+    files.write(path, document(cards).to_markdown(Path("pictures")).encode())
     return path
 
 

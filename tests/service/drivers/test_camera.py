@@ -1,8 +1,8 @@
 """The camera and the stage over Zenoh, against an emulated controller's surroundings."""
 
 import asyncio
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
 
 import numpy as np
 import pytest
@@ -29,6 +29,19 @@ def listening(endpoint: str) -> Iterator[zenoh.Session]:
         close_session(session)
 
 
+@asynccontextmanager
+async def watching(clock: Callable[[], float]) -> AsyncIterator[tuple[zenoh.Session, ZenohCamera]]:
+    endpoint = free_endpoint()
+    camera = ZenohCamera(endpoint, KEY, 0.2, clock)
+    assert camera.estimate(clock()) is None
+    with listening(endpoint) as session:
+        await camera.open()
+        try:
+            yield session, camera
+        finally:
+            await camera.close()
+
+
 def frame(position: tuple[float, float, float], episode: int = 4, time_s: float = 61.5, epoch: int = 0) -> bytes:
     record = wire.new(wire.CAMERA, wire.Kind.CAMERA)
     record[0]["epoch"] = epoch
@@ -44,81 +57,56 @@ async def publish_until(session: zenoh.Session, payload: bytes, condition: Calla
 
 
 async def test_the_newest_estimate_counts_until_it_is_too_old() -> None:
-    endpoint = free_endpoint()
     now = 100.0
-    camera = ZenohCamera(endpoint, KEY, 0.2, lambda: now)
-    assert camera.estimate(now) is None
-    with listening(endpoint) as session:
-        await camera.open()
-        try:
-            await publish_until(session, frame((0.3, -0.1, 0.08)), lambda: camera.estimate(now) is not None)
-            assert camera.estimate(now) == pytest.approx([0.3, -0.1, 0.08])
-            assert camera.episode == 4
-            assert camera.estimate(now + 0.19) is not None
-            assert camera.estimate(now + 0.21) is None
-            now = 101.0
-            newer = frame((0.31, -0.1, 0.08), episode=5)
-            await publish_until(session, newer, lambda: camera.episode == 5)
-            assert camera.estimate(now) == pytest.approx([0.31, -0.1, 0.08])
-        finally:
-            await camera.close()
+    async with watching(lambda: now) as (session, camera):
+        await publish_until(session, frame((0.3, -0.1, 0.08)), lambda: camera.estimate(now) is not None)
+        assert camera.estimate(now) == pytest.approx([0.3, -0.1, 0.08])
+        assert camera.episode == 4
+        assert camera.estimate(now + 0.19) is not None
+        assert camera.estimate(now + 0.21) is None
+        now = 101.0
+        newer = frame((0.31, -0.1, 0.08), episode=5)
+        await publish_until(session, newer, lambda: camera.episode == 5)
+        assert camera.estimate(now) == pytest.approx([0.31, -0.1, 0.08])
 
 
 async def test_a_frame_that_is_no_number_is_no_estimate_and_one_that_cannot_be_read_is_ignored() -> None:
-    endpoint = free_endpoint()
-    camera = ZenohCamera(endpoint, KEY, 0.2, lambda: 0.0)
-    with listening(endpoint) as session:
-        await camera.open()
-        try:
-            await publish_until(session, frame((0.3, -0.1, 0.08)), lambda: camera.estimate(0.0) is not None)
-            for _ in range(5):
-                session.put(KEY, b"not a frame")
-            await asyncio.sleep(0.1)
-            assert camera.estimate(0.0) == pytest.approx([0.3, -0.1, 0.08])
-            blind = frame((np.nan, 0.0, 0.0), time_s=61.6)
-            await publish_until(session, blind, lambda: camera.estimate(0.0) is None)
-        finally:
-            await camera.close()
+    async with watching(lambda: 0.0) as (session, camera):
+        await publish_until(session, frame((0.3, -0.1, 0.08)), lambda: camera.estimate(0.0) is not None)
+        for _ in range(5):
+            session.put(KEY, b"not a frame")
+        await asyncio.sleep(0.1)
+        assert camera.estimate(0.0) == pytest.approx([0.3, -0.1, 0.08])
+        blind = frame((np.nan, 0.0, 0.0), time_s=61.6)
+        await publish_until(session, blind, lambda: camera.estimate(0.0) is None)
 
 
 async def test_a_frame_that_comes_again_and_again_grows_old_all_the_same() -> None:
     """The camera hangs, its publisher does not."""
-    endpoint = free_endpoint()
     now = 100.0
-    camera = ZenohCamera(endpoint, KEY, 0.2, lambda: now)
-    with listening(endpoint) as session:
-        await camera.open()
-        try:
-            await publish_until(session, frame((0.3, -0.1, 0.08)), lambda: camera.estimate(now) is not None)
-            now = 100.3
-            for time_s in (61.5, 61.5, 61.4):
-                session.put(KEY, frame((0.3, -0.1, 0.08), time_s=time_s))
-            await asyncio.sleep(0.2)
-            assert camera.estimate(now) is None
-            newer = frame((0.3, -0.1, 0.08), time_s=61.6)
-            await publish_until(session, newer, lambda: camera.estimate(now) is not None)
-        finally:
-            await camera.close()
+    async with watching(lambda: now) as (session, camera):
+        await publish_until(session, frame((0.3, -0.1, 0.08)), lambda: camera.estimate(now) is not None)
+        now = 100.3
+        for time_s in (61.5, 61.5, 61.4):
+            session.put(KEY, frame((0.3, -0.1, 0.08), time_s=time_s))
+        await asyncio.sleep(0.2)
+        assert camera.estimate(now) is None
+        newer = frame((0.3, -0.1, 0.08), time_s=61.6)
+        await publish_until(session, newer, lambda: camera.estimate(now) is not None)
 
 
 async def test_two_cameras_under_one_key_are_none_until_one_is_silent() -> None:
-    endpoint = free_endpoint()
     now = 100.0
-    camera = ZenohCamera(endpoint, KEY, 0.2, lambda: now)
-    with listening(endpoint) as session:
-        await camera.open()
-        try:
-            ours, other = frame((0.3, -0.1, 0.08), epoch=7), frame((0.35, -0.1, 0.08), epoch=8, time_s=90.0)
-            await publish_until(session, ours, lambda: camera.estimate(now) is not None)
-            await publish_until(session, other, lambda: camera.estimate(now) is None)
-            session.put(KEY, frame((0.3, -0.1, 0.08), epoch=7, time_s=61.6))
-            await asyncio.sleep(0.1)
-            assert camera.estimate(now) is None
-            now = 100.3
-            await publish_until(session, other, lambda: camera.estimate(now) is not None)
-            assert camera.estimate(now) == pytest.approx([0.35, -0.1, 0.08])
-        finally:
-            await camera.close()
+    async with watching(lambda: now) as (session, camera):
+        ours, other = frame((0.3, -0.1, 0.08), epoch=7), frame((0.35, -0.1, 0.08), epoch=8, time_s=90.0)
+        await publish_until(session, ours, lambda: camera.estimate(now) is not None)
+        await publish_until(session, other, lambda: camera.estimate(now) is None)
+        session.put(KEY, frame((0.3, -0.1, 0.08), epoch=7, time_s=61.6))
+        await asyncio.sleep(0.1)
+        assert camera.estimate(now) is None
+        now = 100.3
+        await publish_until(session, other, lambda: camera.estimate(now) is not None)
+        assert camera.estimate(now) == pytest.approx([0.35, -0.1, 0.08])
 
 
 async def laid_out_by(answer: Callable[[zenoh.Query], None]) -> object:
