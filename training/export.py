@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import onnx
 import onnx.helper
 import onnx.numpy_helper
@@ -19,12 +20,14 @@ from service.policy.model import Policy
 from training import files
 from training.network import ActorCritic
 
+Matrix = npt.NDArray[np.float32]
+
 OPSET = 17
 AGREEMENT = 1e-4
 """Largest difference between what the exported graph and the network compute, actions and memories in -1 … 1."""
 PROBES = 64
-HALVED_FROM = 1024
-"""Size from which on a tensor of weights is stored in half precision; the arithmetic stays in single."""
+LEVELS = 127
+"""A row of a matrix of weights is stored as whole numbers of one byte up to this, times a scale of its own."""
 
 
 class DeterministicActor(nn.Module):
@@ -93,7 +96,7 @@ def network_of(contract: PolicyContract, weights: dict[str, Tensor]) -> ActorCri
 
 
 def to_onnx(network: ActorCritic, contract: PolicyContract) -> bytes:
-    """Return the file of a network's deterministic actor with its contract, the weights rounded to half precision.
+    """Return the file of a network's deterministic actor with its contract, the weights rounded to one byte.
 
     Raises:
         ValueError: the exported graph does not compute what the rounded network computes.
@@ -119,7 +122,7 @@ def to_onnx(network: ActorCritic, contract: PolicyContract) -> bytes:
             opset_version=OPSET,
             dynamo=False,
         )
-        data = _with_contract(_halved(onnx.load(graph)), contract)
+        data = _with_contract(_packed(onnx.load(graph)), contract)
     with torch.no_grad():
         perceived, remembered = network.remember(observation, hidden)
         wanted = network.act(perceived, remembered)[0].clamp(-1.0, 1.0).numpy()
@@ -143,24 +146,34 @@ def export(network: ActorCritic, contract: PolicyContract, path: Path) -> Policy
 
 
 def rounded(network: ActorCritic) -> ActorCritic:
-    """Return a copy whose large tensors hold numbers of half precision."""
+    """Return a copy whose matrices hold what `LEVELS` can tell; the arithmetic stays in single precision."""
     network = copy.deepcopy(network)
     with torch.no_grad():
         for weights in network.parameters():
-            if weights.numel() >= HALVED_FROM:
-                weights.copy_(weights.half())
+            if weights.ndim == 2:
+                levels, scale = _levels(weights.numpy())
+                weights.copy_(torch.from_numpy(levels * scale[:, None]))
     return network
 
 
-def _halved(document: onnx.ModelProto) -> onnx.ModelProto:
-    """Store the large tensors of a graph in half precision and cast them where they enter it."""
+def _levels(weights: Matrix) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.float32]]:
+    """Return the whole numbers (rows, columns) and the scales (rows,) nearest to a matrix of weights."""
+    largest = np.abs(weights).max(1)
+    scale = np.where(largest > 0.0, largest / LEVELS, 1.0).astype(np.float32)
+    return np.rint(weights / scale[:, None]).astype(np.int8), scale
+
+
+def _packed(document: onnx.ModelProto) -> onnx.ModelProto:
+    """Store the matrices of a graph as `_levels` and unpack them where they enter it."""
     graph = document.graph
-    for tensor in graph.initializer:
+    for tensor in list(graph.initializer):
         weights = onnx.numpy_helper.to_array(tensor)
-        if weights.dtype == np.float32 and weights.size >= HALVED_FROM:
-            name = tensor.name
-            tensor.CopyFrom(onnx.numpy_helper.from_array(weights.astype(np.float16), f"{name}.half"))
-            graph.node.insert(0, onnx.helper.make_node("Cast", [tensor.name], [name], to=onnx.TensorProto.FLOAT))
+        if weights.dtype == np.float32 and weights.ndim == 2:
+            graph.initializer.remove(tensor)
+            stored = [f"{tensor.name}.levels", f"{tensor.name}.scale"]
+            for array, name in zip(_levels(weights), stored, strict=True):
+                graph.initializer.append(onnx.numpy_helper.from_array(array, name))
+            graph.node.insert(0, onnx.helper.make_node("DequantizeLinear", stored, [tensor.name], axis=0))
     return document
 
 

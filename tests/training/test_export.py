@@ -48,15 +48,16 @@ def test_the_file_computes_what_the_network_does_through_real_episodes(trained: 
     assert np.abs(got).max() > 1e-3
 
 
-def test_the_files_large_tensors_are_rounded_to_half_precision_and_take_half_the_room(
+def test_the_files_matrices_are_rounded_to_a_byte_a_weight_and_take_a_quarter_of_the_room(
     trained: tuple[Any, PolicyContract],
 ) -> None:
     network, contract = trained
     actor = [p for name, p in network.named_parameters() if not name.startswith(("critic", "log_std"))]
     full = sum(4 * p.numel() for p in actor)
-    assert len(to_onnx(network, contract)) < 0.5 * full + 40_000
+    assert len(to_onnx(network, contract)) < 0.25 * full + 40_000
     for before, after in zip(network.parameters(), rounded(network).parameters(), strict=True):
-        np.testing.assert_allclose(after.detach(), before.detach(), rtol=2**-11, atol=1e-7)
+        step = before.detach().abs().amax(-1, keepdim=True) / 127 if before.ndim == 2 else 0.0
+        assert ((after - before).abs() <= 0.501 * step).all()
 
 
 def test_a_recurrent_policy_acts_by_what_it_has_seen_before(remembering: Any) -> None:
