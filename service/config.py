@@ -175,7 +175,7 @@ class RecipeSection(Section):
     max_steps: Annotated[int, Field(ge=1, le=2000)] | None = None
     success_depth_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 3.0e-3
     retract: bool = True
-    conditions: Literal["standard", "easy", "search", "transfer"] = "standard"
+    conditions: Literal["standard", "easy", "search", "stiff", "transfer"] = "standard"
     allow_lock: Annotated[tuple[LockMode, ...], Field(min_length=1)] = ("paper", "peck")
 
 

@@ -20,6 +20,9 @@ FORCE_DRIFT_N_PER_S = 0.02
 TORQUE_DRIFT_NM_PER_S = 0.001
 ESTIMATE_JITTER_M = 0.17e-3
 FRICTION = 0.3
+CONTACT_TIME_S = 12e-3
+CONTACT_TIMES_S = (6e-3, 14e-3)
+"""Least and largest time constant of contact where the plant is randomised."""
 NOISE_ROWS = 4096
 """Ticks of sensor noise drawn per episode; an episode longer than that (8.2 s) hears it again."""
 CAMERA_FRAMES = 64
@@ -43,12 +46,14 @@ class _Distributions:
     force_noise_n: float = FORCE_NOISE_N
     torque_noise_nm: float = TORQUE_NOISE_NM
     bias_scale: float = 1.0
+    contact_time_s: float = CONTACT_TIME_S
 
 
 _CONDITIONS = {
     "standard": _Distributions(),
     "easy": _Distributions((0.020, 0.020, 0.010), float(np.deg2rad(30)), (0.5e-3, 0.5e-3, 0.3e-3), 0.1e-3),
     "search": _Distributions((0.010, 0.010, 0.010)),
+    "stiff": _Distributions(contact_time_s=6e-3),
     "transfer": _Distributions(
         friction=0.7,
         stiffness_scale=1.5,
@@ -73,6 +78,7 @@ class Episode:
         friction: sliding, peg on block.
         stiffness_scale: of the compliance law and the fingers, relative to nominal.
         mass_scale: of the gripper and the peg.
+        contact_time_s: time constant of contact (`solref`); its stiffness goes with the inverse of the square.
         sensor_delay: ticks from force to sample: drawn from 1–4 (2–8 ms), unless the task or its conditions name it.
         target_delay: ticks from a target's arrival to its effect.
         bias: (6,) of the raw sensor, N and N·m.
@@ -89,6 +95,7 @@ class Episode:
     friction: float
     stiffness_scale: float
     mass_scale: float
+    contact_time_s: float
     sensor_delay: int
     target_delay: int
     bias: Array
@@ -128,6 +135,7 @@ def draw(task: Task) -> Episode:
         friction=0.1 + 0.5 * float(plant[0]) if varied else ranges.friction,
         stiffness_scale=0.6 + 0.8 * float(plant[1]) if varied else ranges.stiffness_scale,
         mass_scale=0.8 + 0.4 * float(plant[2]) if varied else 1.0,
+        contact_time_s=_contact_time(task.seed) if varied else ranges.contact_time_s,
         sensor_delay=delay,
         target_delay=int(plant[3] * 11) if varied else 2,
         bias=bias,
@@ -135,3 +143,8 @@ def draw(task: Task) -> Episode:
         wrench_noise=noise,
         estimate_noise=jitter,
     )
+
+
+def _contact_time(seed: int) -> float:
+    """Draw it apart from everything else, which therefore is what it was before contact varied."""
+    return float(np.random.default_rng([seed, 2]).uniform(*CONTACT_TIMES_S))

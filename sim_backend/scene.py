@@ -44,6 +44,7 @@ JOINT_ARMATURE_KGM2 = (0.12, 0.12, 0.12, 0.02, 0.02, 0.02)
 JOINT_DAMPING_RATIO = 1.0
 
 # stiffer ones leave a jammed peg vibrating under a stopped arm: figures in docs/conditions.md
+# its time constant varies per simulation
 _CONTACT = {"solref": [0.012, 1.0], "solimp": [0.95, 0.99, 0.0005, 0.5, 2.0]}
 
 

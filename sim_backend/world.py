@@ -14,7 +14,7 @@ from mujoco.batch import Batch
 from sim_backend import kinematics, scene
 from sim_backend.arm import ArmController, Limits
 from sim_backend.conditions import CAMERA_FRAMES, Episode, draw
-from sim_backend.parts import hole_walls, wall_centres
+from sim_backend.parts import HOLE_DEPTH_M, hole_walls, wall_centres
 from sim_backend.protocol import pose
 from sim_backend.protocol.task import Part, Task
 from sim_backend.protocol.wire import StopReason
@@ -28,6 +28,8 @@ START_POSITION_M = (scene.NOMINAL_HOLE_M[0], scene.NOMINAL_HOLE_M[1], 0.180)
 """TCP at which an episode begins, tool down."""
 START_YAW_RAD = 0.0
 ESTIMATE_TICKS = 20
+FLOOR_GIVE_M = 1e-3
+"""How deep below the floor's level a peg that stands on it may read."""
 """Ticks per camera frame."""
 _NEAR_JOINTS = np.array([-0.2, -1.9, -1.7, -1.1, 1.57, 0.0])
 """Elbow up, over the table: the branch of the inverse kinematics that the arm lives on."""
@@ -73,6 +75,7 @@ class World:
         self._body_centre, self._body_twist = batch.bind("xipos"), batch.bind("cvel")
         self._wall_position = batch.expand("geom_pos")
         self._friction = batch.expand("geom_friction")
+        self._contact = batch.expand("geom_solref")
         self._body_position = batch.expand("body_pos")
         self._mass = batch.expand("body_mass")
         self._inertia = batch.expand("body_inertia")
@@ -122,6 +125,7 @@ class World:
                 self._scene.part, task.clearance_m, scene.WALL_HALF_THICKNESS_M
             )
             self._friction[cell, :, 0] = episode.friction
+            self._contact[cell, :, 0] = episode.contact_time_s
             self._body_position[cell, self._scene.peg_body, :2] = episode.grasp_offset
             carried = [self._scene.gripper_body, self._scene.peg_body]
             nominal = self._scene.model
@@ -276,12 +280,13 @@ class World:
 
     @property
     def contained(self) -> npt.NDArray[np.bool_]:
-        """(n,) whether the peg's axis lies inside the hole's outline."""
+        """(n,) whether the peg's axis lies inside the hole's outline, and its bottom not beneath the hole's floor."""
         walls = np.stack([hole_walls(self._scene.part, c) for c in np.unique(self.clearance)])
         of_cell = walls[np.searchsorted(np.unique(self.clearance), self.clearance)]
         offset = self.offset
         along = np.cos(of_cell[:, :, 0]) * offset[:, :1] + np.sin(of_cell[:, :, 0]) * offset[:, 1:]
-        return np.logical_and.reduce(along <= of_cell[:, :, 1], axis=1)
+        inside = np.logical_and.reduce(along <= of_cell[:, :, 1], axis=1)
+        return inside & (self.depth <= HOLE_DEPTH_M + FLOOR_GIVE_M)
 
     @property
     def true_force(self) -> Array:

@@ -128,7 +128,7 @@ def adjusted(
 
 def check_conditions(mode: Mode, conditions: Conditions) -> None:
     """Raise ValueError for conditions that put the hole beyond what a policy of this mode can know of it."""
-    if mode == "FTM" and conditions in ("standard", "transfer"):
+    if mode == "FTM" and conditions in ("standard", "stiff", "transfer"):
         raise ValueError(f"conditions {conditions!r} put the hole too far from the nominal centre, all that FTM knows")
 
 

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal, Self
 
 Part = Literal["tr", "rtr", "trm", "cir", "b-rtr", "b-trm"]
-Conditions = Literal["standard", "easy", "search", "transfer"]
+Conditions = Literal["standard", "easy", "search", "stiff", "transfer"]
 
 SENSOR_DELAY_TICKS = (1, 4)
 """Least and largest delay of the force/torque sensor."""
@@ -20,7 +20,7 @@ class Task:
         clearance_m: distance between peg and wall when centred, per face, m.
         conditions: which distributions to draw from; `docs/conditions.md`.
         randomise_plant: draw friction, stiffness, delay, mass (training); otherwise nominal values (test).
-            Not with `transfer`, whose plant is given.
+            Not with `stiff` and `transfer`, whose plant is given.
         sensor_delay_ticks: from force to sample, 1–4 ticks of 2 ms; None: drawn from the seed.
     """
 
@@ -62,8 +62,10 @@ class Task:
             raise ValueError(f"task.clearance_m must lie in 0.05e-3 … 6e-3 m, not {self.clearance_m!r}")
         if type(self.randomise_plant) is not bool:
             raise ValueError(f"task.randomise_plant must be true or false, not {self.randomise_plant!r}")
-        if self.randomise_plant and self.conditions == "transfer":
-            raise ValueError("task.randomise_plant must be false under conditions 'transfer': their plant is given")
+        if self.randomise_plant and self.conditions in ("stiff", "transfer"):
+            raise ValueError(
+                f"task.randomise_plant must be false under conditions {self.conditions!r}: their plant is given"
+            )
         delay = self.sensor_delay_ticks
         if delay is not None and (
             type(delay) is not int or not SENSOR_DELAY_TICKS[0] <= delay <= SENSOR_DELAY_TICKS[1]

@@ -157,7 +157,7 @@ def test_no_content_of_commands_breaks_the_world(commands: list[np.ndarray]) -> 
         optional={
             "part": st.sampled_from(["tr", "cir"]),
             "clearance_m": st.floats() | st.integers() | st.none() | st.text(max_size=3),
-            "conditions": st.sampled_from(["standard", "easy", "search", "transfer"]) | st.none(),
+            "conditions": st.sampled_from(["standard", "easy", "search", "stiff", "transfer"]) | st.none(),
             "randomise_plant": st.booleans() | st.integers(),
         },
     )

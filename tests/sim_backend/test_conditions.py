@@ -7,6 +7,8 @@ import pytest
 from sim_backend.conditions import NOISE_ROWS, draw
 from sim_backend.protocol.task import Task
 from sim_backend.scene import NOMINAL_HOLE_M
+from training import design
+from training.insertion import Insertions
 
 N = 2000
 
@@ -98,11 +100,12 @@ def test_a_randomised_plant_varies_as_the_standard_conditions_say(standard):
     assert_uniform(column(standard, "friction"), 0.1, 0.6)
     assert_uniform(column(standard, "stiffness_scale"), 0.6, 1.4)
     assert_uniform(column(standard, "mass_scale"), 0.8, 1.2)
+    assert_uniform(column(standard, "contact_time_s"), 6e-3, 14e-3)
     assert set(column(standard, "target_delay")) == set(range(11))
 
 
 def test_a_plant_that_is_not_randomised_is_nominal_and_changes_nothing_else(standard):
-    varied = {"friction": 0.3, "stiffness_scale": 1.0, "mass_scale": 1.0, "target_delay": 2}
+    varied = {"friction": 0.3, "stiffness_scale": 1.0, "mass_scale": 1.0, "contact_time_s": 12e-3, "target_delay": 2}
     for seed in range(20):
         plain = draw(Task(seed))
         for field in dataclasses.fields(plain):
@@ -134,6 +137,26 @@ def test_a_search_begins_within_10_mm_of_the_hole_and_is_standard_otherwise():
                 assert np.array_equal(getattr(one, field.name), getattr(other, field.name))
 
 
+def test_stiff_conditions_are_the_standard_ones_but_for_the_contact():
+    for seed in range(20):
+        there, here = draw(Task(seed, conditions="stiff")), draw(Task(seed))
+        assert (there.contact_time_s, here.contact_time_s) == (6e-3, 12e-3)
+        for field in dataclasses.fields(here):
+            if field.name != "contact_time_s":
+                assert np.array_equal(getattr(there, field.name), getattr(here, field.name))
+
+
+def test_where_the_contact_is_stiffer_a_peg_sinks_less():
+    """The lock alone sets the pegs down beside their holes and presses with 9 N."""
+    contract = design.adjusted(design.contract_for(), press_m=3e-3)
+    cells = Insertions(contract, 2)
+    cells.reset(np.arange(2), [Task(1, conditions="standard"), Task(1, conditions="stiff")])
+    for _ in range(40):
+        outcome = cells.step(np.zeros((2, 4)))
+    soft, hard = outcome.depth
+    assert 0 < 2 * hard < soft < 0.3e-3
+
+
 def test_a_transfer_has_the_standard_poses_on_another_plant():
     other_plant = {"friction": 0.7, "stiffness_scale": 1.5, "sensor_delay": 5}
     for seed in range(20):
@@ -153,8 +176,9 @@ def test_a_transfer_has_the_standard_poses_on_another_plant():
 
 def test_a_transfers_plant_is_given_and_only_its_sensors_delay_may_be_named():
     assert draw(Task(5, conditions="transfer", sensor_delay_ticks=2)).sensor_delay == 2
-    with pytest.raises(ValueError, match=r"task\.randomise_plant must be false under conditions 'transfer'"):
-        Task.from_json({"seed": 0, "conditions": "transfer", "randomise_plant": True})
+    for given in ("stiff", "transfer"):
+        with pytest.raises(ValueError, match=rf"task\.randomise_plant must be false under conditions '{given}'"):
+            Task.from_json({"seed": 0, "conditions": given, "randomise_plant": True})
 
 
 def test_the_same_seed_is_the_same_episode_whatever_the_part_and_the_clearance():

@@ -11,10 +11,11 @@ from service.policy.model import Policy
 from service.policy.observation import Measurement
 from service.safety.pose import wrap
 from sim_backend import world as world_module
-from sim_backend.parts import PARTS, contained, hole_walls, wall_centres
+from sim_backend.parts import HOLE_DEPTH_M, PARTS, contained, hole_walls, wall_centres
 from sim_backend.protocol import pose
 from sim_backend.protocol.task import Part, Task
 from sim_backend.scene import WALL_HALF_LENGTH_M, WALL_HALF_THICKNESS_M
+from sim_backend.world import World
 from tests.training.play import random_actions, unit
 from training import design
 from training.episodes import FIRST_TRAINING_SEED, TaskSource
@@ -100,6 +101,15 @@ def test_a_peg_that_goes_round_the_block_gets_nowhere_from_the_side() -> None:
     assert (deepest > 2 * GOAL_DEPTH_M).sum() >= 6  # they were deep beside the block
     assert not ever.any()
     assert not (world.contained & (outcome.depth > 0)).any()
+
+
+def test_a_peg_beneath_the_block_is_not_in_the_hole() -> None:
+    world = World(2)
+    world.reset(np.arange(2), [Task(0), Task(0)])
+    below = world.hole_position - [[0, 0, 0.010], [0, 0, HOLE_DEPTH_M + 0.025]]
+    world.place(np.arange(2), below, np.zeros(2))
+    assert (world.depth > SUCCESS_DEPTH_M).all()
+    assert world.contained.tolist() == [True, False]
 
 
 # --- what is seen is what a cell measures

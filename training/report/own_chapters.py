@@ -104,7 +104,7 @@ def conditions(measured: Measured, comparison: Comparison) -> Iterator[Block]:
     """Under what everything here was measured."""
     yield Heading("Conditions")
     yield Paragraph(
-        "Deterministic policies, each seed played once, test seeds from 1 000 000 up: training draws its seeds from "
+        "Deterministic policies, each seed played once, test seeds from 2 000 000 up: training draws its seeds from "
         "2³² up and chooses models by seeds from 500 000 to 999 999. Success: the peg's bottom at least 2.5 mm below "
         "the hole's mouth with the peg's axis inside the hole, at the episode's end. Intervals are 95 % Wilson "
         "intervals. Peak force is the largest resultant over every 2 ms sample of an episode, as the cell's sensor has "
