@@ -75,7 +75,7 @@ class LimitsSection(Section):
         max_turn_rad: the same for the yaw.
         max_speed_m_s: of targets and of the arm's reference.
         max_turn_speed_rad_s: the same for the yaw.
-        max_tilt_rad: of the tool from straight down; the shipped policy stays within 0.021.
+        max_tilt_rad: of the tool from straight down; the shipped policy stayed within 0.04 in 30 episodes at 0.1 mm.
         max_stiffness: N/m and N·m/rad that the control program runs; a policy that wants more is refused.
         min_damping: N·s/m and N·m·s/rad; a policy that wants less is refused: with the sensor's delay it would swing.
         min_inertia: kg and kg·m², likewise.

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
 
 from training.__main__ import app
+from training.evaluate import FIRST_TEST_SEED
 from training.report.curves import Curve
 from training.results import Block, EpisodeResult, Results
 
@@ -40,7 +41,7 @@ def earlier(here: Path, successes: int) -> None:
     """Put 500 episodes in the place of what `reproduce` is to compare with."""
     found = Results.load(here / "var/reproduced/paper-vftm-c133.json")
     (block,) = found.blocks
-    episodes = tuple(EpisodeResult(1_000_000 + i, i < successes, False, 9, 9.0) for i in range(500))
+    episodes = tuple(EpisodeResult(FIRST_TEST_SEED + i, i < successes, False, 9, 9.0) for i in range(500))
     found.with_block(Block(setting=block.setting, episodes=episodes)).save(here / "results/paper-vftm-c133.json")
 
 
@@ -77,3 +78,27 @@ def test_a_rate_outside_the_earlier_interval_is_told_and_fails(here: Path) -> No
     assert result.exit_code == 1
     assert "DIFFERENT" in result.output
     assert "before 50.0% (45.6% to 54.4%)" in result.output
+
+
+def test_earlier_results_of_another_file_are_told_and_fail(here: Path) -> None:
+    CliRunner().invoke(app, ["reproduce", *ARGUMENTS])
+    (episode,) = Results.load(here / "var/reproduced/paper-vftm-c133.json").blocks[0].episodes
+    earlier(here, 500 * episode.success)
+    path = here / "results/paper-vftm-c133.json"
+    Results.load(path).model_copy(update={"sha256": "0" * 64, "sources": "1" * 64}).save(path)
+    result = CliRunner().invoke(app, ["reproduce", *ARGUMENTS])
+    assert result.exit_code == 1
+    assert "of another file" in result.output
+    assert "have changed since" in result.output
+
+
+def test_a_report_is_refused_where_results_are_not_of_the_file_that_ships(here: Path) -> None:
+    CliRunner().invoke(app, ["reproduce", *ARGUMENTS])
+    arguments = ["report", "--results", "var/reproduced", "--out", "docs"]
+    told = CliRunner().invoke(app, arguments)
+    assert told.exit_code == 0, told.output
+    path = here / "var/reproduced/paper-vftm-c133.json"
+    Results.load(path).model_copy(update={"sha256": "0" * 64}).save(path)
+    refused = CliRunner().invoke(app, arguments)
+    assert refused.exit_code == 2
+    assert "not of models/paper-vftm-c133.onnx" in refused.output

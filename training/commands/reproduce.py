@@ -59,7 +59,7 @@ def reproduce(
         refuse("reproduce", str(error))
     typer.echo(f"wrote {writing.write(writing.document(measured), results)[0]}")
     if different:
-        typer.echo(f"{different} success rates lie outside the interval of {against}", err=True)
+        typer.echo(f"{different} differ from {against}: another file, or a rate outside the interval", err=True)
         raise typer.Exit(EXIT_DIFFERENT)
 
 
@@ -81,6 +81,10 @@ def settings_of(name: str, policy: Policy) -> list[Setting]:
 
 def compared(found: Results, earlier: Results | None, settings: list[Setting]) -> Iterator[str]:
     """One line per setting: what was found, and whether it lies within the interval of what was found earlier."""
+    if earlier is not None and earlier.sha256 != found.sha256:
+        yield f"DIFFERENT  {found.policy}: the earlier results are of another file of that name"
+    if earlier is not None and earlier.sources != found.sources:
+        yield f"NOTE       {found.policy}: world, arm, lock or criterion have changed since the earlier results"
     for setting in settings:
         block = found.block(setting)
         known = None if earlier is None else earlier.block(setting)

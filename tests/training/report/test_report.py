@@ -147,7 +147,7 @@ def test_a_measurement_of_several_sessions_names_the_commits_of_all() -> None:
         for commit in ("aaaaaaaaaaaa", "bbbbbbbbbbbb-dirty", "aaaaaaaaaaaa")
     )
     text = told(Measured({"p": results(block(40).model_copy(update={"sessions": sessions}))}, ()))
-    line_with(text, "| 1000000, 50 |", "| `aaaaaaaaa`, `bbbbbbbbb-dirty` | one |")
+    line_with(text, "| 2000000, 50 |", "| `aaaaaaaaa`, `bbbbbbbbb-dirty` | one |")
 
 
 def test_table_1_has_the_paper_our_run_of_it_and_the_mean_and_variance_of_the_return() -> None:
@@ -364,7 +364,7 @@ def test_the_command_writes_page_markdown_and_pictures_and_the_same_again(tmp_pa
     out = tmp_path / "docs"
 
     def written() -> dict[str, bytes]:
-        report(folder, tmp_path / "runs", out)
+        report(folder, tmp_path / "runs", out, tmp_path / "no models")
         return {str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*") if path.is_file()}
 
     first = written()
