@@ -1,17 +1,13 @@
 """`report`: what was measured, beside the paper, as one HTML page and as Markdown; and a card for every model."""
 
-import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from service.policy.model import PolicyError
 from training.commands.refusal import refuse, refuse_without_extra
 from training.results import RESULTS, ResultsError
-
-if TYPE_CHECKING:
-    from training.report.measured import Measured
 
 
 def report(
@@ -36,7 +32,12 @@ def report(
         kept = curves.collect(runs, results)
         measured = Measured.read(results)
         shipped = cards.read(models, measured)
-        _check_files(models, measured)
+        for card in shipped:
+            if card.foreign_sha256 is not None:
+                raise ResultsError(
+                    f"the results {card.name}.json are not of {models / card.name}.onnx as it is now: "
+                    "measure it anew (evaluate --anew)"
+                )
         files = writing.write(writing.document(measured), out)
     except (ResultsError, PolicyError) as error:
         refuse("report", str(error))
@@ -46,13 +47,3 @@ def report(
         typer.echo(f"wrote {cards.write(shipped, out)}: cards of {len(shipped)} models")
     else:
         typer.echo(f"no policies in {models}: no {cards.PAGE}")
-
-
-def _check_files(models: Path, measured: "Measured") -> None:
-    """Raise ResultsError where results are of another file than the policy of that name."""
-    for name, results in measured.results.items():
-        path = models / f"{name}.onnx"
-        if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() != results.sha256:
-            raise ResultsError(
-                f"the results {name}.json are not of {path} as it is now: measure it anew (evaluate --anew)"
-            )
