@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sim_backend.protocol.task import SENSOR_DELAY_TICKS, Task
-from sim_backend.scene import NOMINAL_HOLE_M
+from sim_backend.scene import CONTACT_TIME_S, NOMINAL_HOLE_M
 
 Array = npt.NDArray[np.float64]
 
@@ -20,7 +20,6 @@ FORCE_DRIFT_N_PER_S = 0.02
 TORQUE_DRIFT_NM_PER_S = 0.001
 ESTIMATE_JITTER_M = 0.17e-3
 FRICTION = 0.3
-CONTACT_TIME_S = 12e-3
 CONTACT_TIMES_S = (6e-3, 14e-3)
 """Least and largest time constant of contact where the plant is randomised."""
 NOISE_ROWS = 4096

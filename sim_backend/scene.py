@@ -43,9 +43,10 @@ JOINT_ARMATURE_KGM2 = (0.12, 0.12, 0.12, 0.02, 0.02, 0.02)
 """Rotor inertia behind the gears. An assumption: UR publishes none."""
 JOINT_DAMPING_RATIO = 1.0
 
-# stiffer ones leave a jammed peg vibrating under a stopped arm: figures in docs/conditions.md
-# its time constant varies per simulation
-_CONTACT = {"solref": [0.012, 1.0], "solimp": [0.95, 0.99, 0.0005, 0.5, 2.0]}
+CONTACT_TIME_S = 12e-3
+"""Nominal time constant of contact; a simulation may have another. Where it is shorter, a jammed peg goes on vibrating
+under a stopped arm: figures in docs/conditions.md."""
+_CONTACT = {"solref": [CONTACT_TIME_S, 1.0], "solimp": [0.95, 0.99, 0.0005, 0.5, 2.0]}
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,14 @@ import os
 import platform
 import shutil
 import subprocess
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 PACKAGES = ("mujoco", "numpy", "onnxruntime", "torch")
 ROOT = Path(__file__).parents[1]
+CODE = ("service", "sim_backend", "training")
 DECIDING = (
     *(f"service/policy/{name}.py" for name in ("action", "contract", "model", "observation", "onnx_file", "window")),
     *(f"service/safety/{name}.py" for name in ("bounds", "dsl", "pose")),
@@ -21,21 +23,20 @@ DECIDING = (
     *(f"training/{name}.py" for name in ("evaluate", "insertion", "reward")),
 )
 """What an episode in the batched environment depends on, besides the policy's file; a test looks for missing ones."""
+DEPLOYED = ("service/**/*.py", "sim_backend/**/*.py", "training/through_service.py")
+"""What an episode through the deployed service may depend on besides."""
+DIRTY = "-dirty"
 
 
 def commit() -> str | None:
-    """Return the commit of the working tree, marked if it is not as committed; None where that is not known."""
-    git = shutil.which("git")
-    if git is None:
+    """Return the commit, with `DIRTY` if the code is not as committed; None where that is not known.
+
+    Results, documents and policies may differ from the commit: a file of results says which policy it is of.
+    """
+    head = _git("rev-parse", "HEAD")
+    if not head:
         return None
-    done = subprocess.run(
-        [git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
-        cwd=Path(__file__).parent,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return done.stdout.strip() or None
+    return head + (DIRTY if _git("status", "--porcelain", "--", *CODE) else "")
 
 
 def machine() -> str:
@@ -46,11 +47,14 @@ def machine() -> str:
 @cache
 def sources() -> str:
     """Return the SHA-256 of `DECIDING`, names and contents in sorted order: the same wherever the sources are."""
-    digest = hashlib.sha256()
-    for name in sorted(DECIDING):
-        data = (ROOT / name).read_bytes()
-        digest.update(f"{name} {len(data)}\n".encode() + data)
-    return digest.hexdigest()
+    return _digest(DECIDING)
+
+
+@cache
+def deployed_sources() -> str:
+    """Return the SHA-256 of `DECIDING` and `DEPLOYED` together."""
+    found = (path for pattern in DEPLOYED for path in ROOT.glob(pattern))
+    return _digest({*DECIDING, *(path.relative_to(ROOT).as_posix() for path in found)})
 
 
 def versions() -> dict[str, str]:
@@ -62,6 +66,23 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
+
+
+def _digest(names: Iterable[str]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(names):
+        data = (ROOT / name).read_bytes()
+        digest.update(f"{name} {len(data)}\n".encode() + data)
+    return digest.hexdigest()
+
+
+def _git(*arguments: str) -> str:
+    """What git says of this project; nothing where it is no working tree, or there is no git."""
+    git = shutil.which("git")
+    if git is None:
+        return ""
+    done = subprocess.run([git, *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+    return done.stdout.strip()
 
 
 def _processor() -> str:

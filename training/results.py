@@ -10,6 +10,7 @@ import math
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal, Self, cast
 
@@ -176,15 +177,20 @@ class Block(Section):
     def wall_s(self) -> float:
         return sum(session.wall_s for session in self.sessions)
 
-    def first(self, count: int) -> "Block":
-        """The first `count` episodes."""
-        return self.model_copy(update={"episodes": self.episodes[:count]})
+    def first(self, number: int) -> "Block":
+        """The first `number` episodes."""
+        return self.model_copy(update={"episodes": self.episodes[:number]})
 
-    def missing(self, count: int) -> list[int]:
-        """Seeds of the first `count` that have not been played."""
+    def unbroken(self) -> "Block":
+        """The episodes from the first seed up to the first one that was not played."""
+        played = {episode.seed for episode in self.episodes}
+        return self.first(next(n for n in count() if self.setting.first_seed + n not in played))
+
+    def missing(self, number: int) -> list[int]:
+        """Seeds of the first `number` that have not been played."""
         played = {episode.seed for episode in self.episodes}
         first = self.setting.first_seed
-        return [seed for seed in range(first, first + count) if seed not in played]
+        return [seed for seed in range(first, first + number) if seed not in played]
 
     def with_episodes(self, more: Iterable[EpisodeResult]) -> "Block":
         """This block with more episodes; one played again takes the place of the old one."""
@@ -234,6 +240,7 @@ class Results(Section):
         sha256: of its file.
         sources: SHA-256 of the sources that decide an episode, `training.provenance.sources`: another world, arm, lock
             or criterion makes other results.
+        deployed_sources: of the episodes through the service, `training.provenance.deployed_sources`; None without any.
         mode: what it observes.
         lock: its contract's.
         period_s: between two actions.
@@ -249,6 +256,7 @@ class Results(Section):
     policy: str
     sha256: str
     sources: str
+    deployed_sources: str | None = None
     mode: Mode
     lock: dsl.Mode
     period_s: float
@@ -272,6 +280,11 @@ class Results(Section):
         else:
             blocks.append(block)
         return self.model_copy(update={"blocks": tuple(blocks)})
+
+    def without_service(self) -> Self:
+        """These results without what went through the service."""
+        kept = tuple(block for block in self.blocks if block.setting.through == "environment")
+        return self.model_copy(update={"blocks": kept, "deployed_sources": None})
 
     def save(self, path: Path) -> None:
         """Write the file, at once or not at all: one line per column, so that a difference can be read."""

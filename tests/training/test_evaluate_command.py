@@ -1,6 +1,9 @@
 """`dsl-assembly evaluate`, in this process: what it keeps, what it plays again, what it refuses."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
@@ -9,11 +12,11 @@ pytest.importorskip("torch", reason="needs the extra `training`: pip install -e 
 
 from service.policy.model import Policy
 from training import evaluate as evaluation
-from training import provenance
+from training import provenance, through_service
 from training.__main__ import app
 from training.baseline import scripted_search
 from training.export import export
-from training.results import Results, exclusive
+from training.results import EpisodeResult, Results, exclusive
 
 EASY = ["--clearance", "3", "--conditions", "easy", "--workers", "1"]
 
@@ -140,6 +143,41 @@ def test_results_of_another_world_are_not_added_to(here: Path, monkeypatch: pyte
     assert (here / "results" / "model.json").read_bytes() == before
     run("model.onnx", *EASY, "--episodes", "1", "--anew")
     assert Results.load(here / "results" / "model.json").sources == "another"
+
+
+def test_results_through_another_service_are_not_added_to_and_go_alone(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run("model.onnx", *EASY, "--episodes", "1")
+    file = here / "results" / "model.json"
+    earlier = Results.load(file)
+    assert earlier.deployed_sources is None
+    setting = replace(earlier.blocks[0].setting, through="zenoh")
+    deployed = earlier.blocks[0].model_copy(update={"setting": setting})
+    earlier.with_block(deployed).model_copy(update={"deployed_sources": "another"}).save(file)
+    before = file.read_bytes()
+    zenoh = (*EASY, "--episodes", "1", "--through", "zenoh")
+    assert "results through an earlier service" in " ".join(refused("model.onnx", *zenoh).split())
+    assert file.read_bytes() == before
+    run("model.onnx", *EASY, "--episodes", "2")  # the environment does not depend on it
+    assert Results.load(file).deployed_sources == "another"
+
+    def nobody(*_: object, **__: object) -> None:
+        raise through_service.ServiceError("nobody plays")
+
+    monkeypatch.setattr(through_service, "play", nobody)
+    assert "nobody plays" in refused("model.onnx", *zenoh, "--anew")
+    episode = EpisodeResult(seed=setting.first_seed, success=True, fault=False, steps=33, peak_force_n=9.0)
+
+    def somebody(*_: object, on_episode: Callable[[object], object]) -> None:
+        on_episode(SimpleNamespace(result=episode))
+
+    monkeypatch.setattr(through_service, "play", somebody)
+    run("model.onnx", *zenoh, "--anew")
+    found = Results.load(file)
+    assert found.deployed_sources == provenance.deployed_sources()
+    assert len(found.block(earlier.blocks[0].setting).episodes) == 2
+    assert found.block(setting).episodes == (episode,)
 
 
 def test_results_that_another_process_adds_to_are_refused(here: Path, played: list[int]) -> None:

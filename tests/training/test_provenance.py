@@ -1,6 +1,8 @@
 """What a figure says of where it comes from."""
 
 import ast
+import shutil
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -51,3 +53,45 @@ def test_a_change_of_what_decides_an_episode_shows_and_where_it_lies_does_not(
     with (tmp_path / "sim_backend/arm.py").open("a") as file:
         file.write("# a change")
     assert provenance.sources.__wrapped__() != here
+
+
+def test_a_change_of_the_service_shows_where_it_was_played_through(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    environment, deployed = provenance.sources.__wrapped__(), provenance.deployed_sources.__wrapped__()
+    assert deployed != environment
+    for package in provenance.CODE:
+        shutil.copytree(provenance.ROOT / package, tmp_path / package)
+    monkeypatch.setattr(provenance, "ROOT", tmp_path)
+    assert provenance.deployed_sources.__wrapped__() == deployed
+    for name in ("service/cell/cell.py", "service/drivers/sim_wire.py", "sim_backend/ur_controller/controller.py"):
+        with (tmp_path / name).open("a") as file:
+            file.write("# a change")
+        changed = provenance.deployed_sources.__wrapped__()
+        assert changed != deployed
+        deployed = changed
+    assert provenance.sources.__wrapped__() == environment
+
+
+def test_a_commit_is_marked_where_code_differs_and_not_where_results_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def git(*arguments: str) -> None:
+        identity = ["-c", "user.name=nobody", "-c", "user.email=nobody@localhost"]
+        subprocess.run(["git", *identity, *arguments], cwd=tmp_path, check=True, capture_output=True)  # noqa: S607
+
+    monkeypatch.setattr(provenance, "ROOT", tmp_path)
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    assert provenance.commit() is None
+    for name in ("service/a.py", "training/b.py", "sim_backend/c.py", "results/r.json"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("as committed")
+    git("init")
+    git("add", ".")
+    git("commit", "-m", "all")
+    (tmp_path / "results/r.json").write_text("more episodes")
+    clean = provenance.commit()
+    assert clean is not None
+    assert len(clean) == 40
+    (tmp_path / "training/b.py").write_text("another criterion")
+    assert provenance.commit() == clean + provenance.DIRTY

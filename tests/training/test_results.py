@@ -94,6 +94,13 @@ def test_episodes_played_later_join_the_earlier_ones_in_the_order_of_their_seeds
     assert whole.first(2).episodes == EPISODES[:2]
 
 
+def test_what_was_broken_off_counts_up_to_the_first_seed_that_is_missing() -> None:
+    gap = BLOCK.model_copy(update={"episodes": (*EPISODES[:2], *EPISODES[3:])})
+    assert gap.unbroken().episodes == EPISODES[:2]
+    assert BLOCK.unbroken() == BLOCK
+    assert BLOCK.model_copy(update={"episodes": EPISODES[1:]}).unbroken().episodes == ()
+
+
 def test_a_block_takes_the_place_of_the_one_with_its_setting_and_no_other() -> None:
     other = Block(setting=replace(SETTING, clearance_m=2e-3))
     both = RESULTS.with_block(other)

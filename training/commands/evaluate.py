@@ -131,10 +131,13 @@ def measure(
         ResultsError: the file holds another policy's results, or what other sources gave.
         ServiceError: the service, or what it needs, failed.
     """
-    known = _known(policy, path, anew)
+    by_service = any(setting.through != "environment" for setting in settings)
+    known = _known(policy, path, provenance.deployed_sources() if by_service else None, anew=anew)
     keep = _Keeper(known, path, workers)
     wanted = [known.block(setting) for setting in settings]
     missing = sum(len(block.missing(episodes)) for block in wanted)
+    if missing and (keep.commit or "").endswith(provenance.DIRTY):
+        typer.echo("the code is not as committed, and the results will say so", err=True)
     with typer.progressbar(length=missing, label=path.stem) as bar:
         keep.on_kept = bar.update
         _play(model, policy, wanted, episodes, workers, keep)
@@ -149,7 +152,7 @@ class _Keeper:
         self.on_kept: Callable[[int], object] = lambda _: None
         self._path = path
         self._workers = workers
-        self._commit = provenance.commit()
+        self.commit = provenance.commit()
         self._before = results
         self._last = time.monotonic()
 
@@ -160,7 +163,7 @@ class _Keeper:
         mine = block.sessions[len(earlier) :]
         session = Session(
             ended=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-            commit=self._commit,
+            commit=self.commit,
             machine=provenance.machine(),
             versions=provenance.versions(),
             workers=self._workers,
@@ -219,13 +222,14 @@ def _check_recordable(policy: Policy, settings: Sequence[Setting]) -> None:
         )
 
 
-def _known(policy: Policy, path: Path, anew: bool) -> Results:
-    """What the file holds of this policy, or nothing yet."""
+def _known(policy: Policy, path: Path, deployed: str | None, *, anew: bool) -> Results:
+    """What the file holds of this policy, or nothing yet; `deployed`: of which sources a service is to add to it."""
     contract = policy.contract
     fresh = Results(
         policy=contract.name,
         sha256=policy.sha256,
         sources=provenance.sources(),
+        deployed_sources=deployed,
         mode=contract.mode,
         lock=contract.dsl.mode,
         period_s=contract.period_s,
@@ -235,9 +239,11 @@ def _known(policy: Policy, path: Path, anew: bool) -> Results:
         seek_step_m=contract.dsl.seek_step_m,
         provenance=contract.provenance,
     )
-    if anew or not path.exists():
+    if not path.exists():
         return fresh
     known = Results.load(path)
+    if anew and (known.sha256, known.sources) != (fresh.sha256, fresh.sources):
+        return fresh
     if known.sha256 != policy.sha256:
         raise ResultsError(
             f"{path} holds results of another file (SHA-256 {known.sha256[:12]}…, this one is {policy.sha256[:12]}…): "
@@ -248,7 +254,17 @@ def _known(policy: Policy, path: Path, anew: bool) -> Results:
             f"{path} holds results of an earlier world, arm, lock or criterion (SHA-256 of the sources "
             f"{known.sources[:12]}…, now {fresh.sources[:12]}…), which do not go together with new ones: {_REMEDY}"
         )
-    return known
+    if deployed is None:
+        return known
+    if known.deployed_sources not in (None, deployed):
+        if not anew:
+            raise ResultsError(
+                f"{path} holds results through an earlier service (SHA-256 of the sources "
+                f"{known.deployed_sources[:12]}…, now {deployed[:12]}…), which do not go together with new ones: "
+                + _REMEDY
+            )
+        known = known.without_service()
+    return known.model_copy(update={"deployed_sources": deployed})
 
 
 def _play(model: Path, policy: Policy, blocks: Sequence[Block], episodes: int, workers: int, keep: _Keeper) -> None:

@@ -10,6 +10,7 @@ from service.safety import dsl
 from sim_backend.protocol.task import Conditions, Part
 from training import paper
 from training.evaluate import FIRST_TEST_SEED
+from training.provenance import DIRTY
 from training.report import curves
 from training.report.curves import Curve
 from training.results import CEILING_N, Block, Results, Through
@@ -53,6 +54,8 @@ class Measured:
     ) -> Block | None:
         """The largest measurement of a policy on test seeds, at the standard ceiling, returns the paper's; or None.
 
+        Of one that was broken off, the episodes whose seeds follow one another: short ones end first.
+
         Args:
             name: of its results.
             clearance_mm: per face.
@@ -66,16 +69,15 @@ class Measured:
             return None
         wanted = (part, paper.metres(clearance_mm), conditions or paper.conditions_for(results.mode))
         found = [
-            block
+            block.unbroken()
             for block in results.blocks
             if (block.setting.part, block.setting.clearance_m, block.setting.conditions) == wanted
             and block.setting.lock == (lock or results.lock)
             and block.setting.through == through
             and block.setting.first_seed == FIRST_TEST_SEED
             and (block.setting.reward, block.setting.force_ceiling_n) == ("paper", CEILING_N)
-            and block.episodes
         ]
-        return max(found, key=lambda block: len(block.episodes), default=None)
+        return max((block for block in found if block.episodes), key=lambda block: len(block.episodes), default=None)
 
 
 def percent(share: float) -> str:
@@ -130,7 +132,7 @@ def signed(value: float) -> str:
 
 def commit_name(commit: str | None) -> str:
     """A commit, shortened, with its mark."""
-    return "unknown" if commit is None else commit[:9] + ("-dirty" if commit.endswith("-dirty") else "")
+    return "unknown" if commit is None else commit[:9] + (DIRTY if commit.endswith(DIRTY) else "")
 
 
 def duration(seconds: float) -> str:
