@@ -24,6 +24,7 @@ def make_cells(experiment: Experiment, seed: int, steps: int, worker: int) -> En
         force_cost_per_n=task.force_cost_per_n,
         start_yaw_rad=math.radians(task.start_yaw_deg),
         slips=task.slips,
+        misreads=task.misreads,
     )
     source = TaskSource(part, task.clearance_m, task.conditions, task.randomise_plant)
     return EndlessInsertions(insertions, source, [seed, worker, steps])

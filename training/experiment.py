@@ -49,6 +49,7 @@ class TaskSection(Section):
         randomise_plant: friction, stiffness, delay and mass vary.
         start_yaw_deg: half range of the tool's yaw at an episode's beginning; a cell and every evaluation begin at 0.
         slips: share of the training episodes in which the hole slips once to another place and yaw.
+        misreads: share of the training episodes in which the policy reads the torque about z times a factor within ±1.
         reward: of `training.reward`.
         force_cost_per_n: in the reward `potential`, of the episode's peak force above 12 N.
         max_steps: of an episode.
@@ -63,6 +64,7 @@ class TaskSection(Section):
     randomise_plant: bool = True
     start_yaw_deg: Annotated[float, Field(ge=0, le=MAX_START_YAW_DEG)] = 0.0
     slips: Share = 0.0
+    misreads: Share = 0.0
     reward: RewardName = "potential"
     force_cost_per_n: NotNegative = FORCE_COST_PER_N
     max_steps: Count = design.MAX_STEPS

@@ -278,3 +278,22 @@ def test_a_hole_slips_once_in_a_training_episode_earns_nothing_by_it_and_the_cam
         assert np.array_equal(slipping.world.estimate, still.world.estimate)
     assert moves == 1
     assert slipping.world.hole_position[0, 2] == still.world.hole_position[0, 2]
+
+
+def test_a_policy_misreads_the_torque_about_z_alone_and_nothing_else_does() -> None:
+    contract = design.contract_for()
+    misled, plain = Insertions(contract, 3, misreads=1.0), Insertions(contract, 3)
+    entries = [(e.name, i % e.size) for e in contract.observation for i in range(e.size * e.history)]
+    torque = np.array([entry == ("torque_mean", 2) for entry in entries])
+    for cells in (misled, plain):
+        cells.reset(EVERYONE, TASKS)
+    press = np.broadcast_to([0.3, 0.2, -1.0, 0.4], (3, 4))
+    for _ in range(25):
+        outcome, other = misled.step(press), plain.step(press)
+        assert np.array_equal(misled.world.position, plain.world.position)
+        assert np.array_equal(outcome.z_lock, other.z_lock, equal_nan=True)
+        assert np.array_equal(outcome.observation[:, ~torque], other.observation[:, ~torque])
+    factor = outcome.observation[:, torque] / other.observation[:, torque]
+    assert np.ptp(factor, axis=1) == pytest.approx(0.0, abs=1e-3)
+    assert (np.abs(factor) < 1.0).all()
+    assert np.ptp(factor[:, 0]) > 0.1
