@@ -11,11 +11,14 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import zenoh
@@ -27,6 +30,7 @@ from sim_backend.protocol import keys
 from sim_backend.protocol.task import Task
 from sim_backend.scene import NOMINAL_HOLE_M, PAYLOAD_COM_M, PAYLOAD_KG, TCP_OFFSET_M
 from sim_backend.world import START_POSITION_M, START_YAW_RAD
+from training.evaluate import Job
 from training.insertion import LIMITS, SUCCESS_DEPTH_M
 from training.results import EpisodeResult, Setting
 
@@ -111,6 +115,44 @@ def play(
             ended = sum(process.poll() is not None for process in (simulator, service))
             text = f"{error or 'nothing within its time'}; {ended} of 2 processes have ended; they said:\n{said}"
             raise ServiceError(text) from error
+
+
+def measure(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Setting, EpisodeResult]]:
+    """Play jobs through `workers` services at once and give each episode as it ends.
+
+    Raises:
+        ServiceError: as `play`; what has ended before was given.
+    """
+    told: SimpleQueue[tuple[Setting, EpisodeResult] | Exception | None] = SimpleQueue()
+    enough = threading.Event()
+
+    def run(job: Job) -> None:
+        def tell(episode: ServiceEpisode) -> None:
+            told.put((job.setting, episode.result))
+            if enough.is_set():
+                raise CancelledError
+
+        try:
+            play(job.model, list(job.seeds), job.setting, on_episode=tell)
+        except Exception as error:
+            told.put(error)
+        else:
+            told.put(None)
+
+    with ThreadPoolExecutor(workers) as pool:
+        left = len([pool.submit(run, job) for job in jobs])
+        try:
+            while left:
+                episode = told.get()
+                if isinstance(episode, Exception):
+                    raise episode
+                if episode is None:
+                    left -= 1
+                else:
+                    yield episode
+        finally:
+            enough.set()
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _arm(setting: Setting) -> list[str]:

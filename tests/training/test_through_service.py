@@ -7,6 +7,7 @@ import pytest
 from service.messages import Run, RunState
 from sim_backend.protocol.task import Task
 from training import through_service
+from training.evaluate import Job
 from training.insertion import SUCCESS_DEPTH_M
 from training.results import Setting, Through
 
@@ -39,6 +40,9 @@ def test_the_service_plays_the_seeds_it_is_told_and_the_simulator_judges_them(mo
     played = through_service.play(model_path, SEEDS, setting("zenoh"), on_episode=told.append)
     check(played, SEEDS)
     assert told == played
+    jobs = [Job(model_path, "", setting("zenoh"), (seed,)) for seed in SEEDS]
+    side_by_side = {episode.seed: episode for _, episode in through_service.measure(jobs, 2)}
+    assert side_by_side == {episode.seed: episode.result for episode in played}
 
 
 @pytest.mark.timeout(300)

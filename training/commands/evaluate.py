@@ -53,7 +53,7 @@ def evaluate(
         float, typer.Option(min=1.0, max=FORCE_HARD_MAXIMUM_N, help="N; an episode ends there.")
     ] = CEILING_N,
     first_seed: Annotated[int, typer.Option(min=0, help="Seeds count up from here.")] = evaluation.FIRST_TEST_SEED,
-    workers: Annotated[int, typer.Option(min=0, help="Processes; 0: one per core. The service runs alone.")] = 0,
+    workers: Annotated[int, typer.Option(min=0, help="Played at once; 0: one per core, through RTDE one.")] = 0,
     name: Annotated[str, typer.Option(help="Of the results; default: the file's.")] = "",
     results: Annotated[Path, typer.Option(help="Folder of the results.")] = RESULTS,
     anew: Annotated[
@@ -66,7 +66,7 @@ def evaluate(
 
     Every episode is kept as it ends: the same command again plays only what is missing.
     """
-    workers = (workers or len(os.sched_getaffinity(0))) if through == "environment" else 1
+    workers = workers or (1 if through == "rtde" else len(os.sched_getaffinity(0)))
     if lock and through != "environment":
         refuse("evaluate", "the service runs a policy under its own lock: --lock goes with --through environment")
     if lock and lock not in get_args(dsl.Mode):
@@ -121,7 +121,7 @@ def measure(
         settings: to measure.
         path: of the results, which keep every episode as it ends; hold `exclusive` of it.
         episodes: per setting.
-        workers: processes; those through the service run in this one.
+        workers: played at once.
         anew: drop what the file holds of another policy, or from other sources.
 
     Returns:
@@ -268,19 +268,12 @@ def _known(policy: Policy, path: Path, deployed: str | None, *, anew: bool) -> R
 
 
 def _play(model: Path, policy: Policy, blocks: Sequence[Block], episodes: int, workers: int, keep: _Keeper) -> None:
-    by_service = [block for block in blocks if block.setting.through != "environment"]
-    jobs = [
-        job
-        for block in blocks
-        if block not in by_service
-        for job in evaluation.jobs_of(model, policy.sha256, block, episodes)
-    ]
-    for setting, played in evaluation.measure(jobs, workers):
+    jobs = [job for block in blocks for job in evaluation.jobs_of(model, policy.sha256, block, episodes)]
+    batched = [job for job in jobs if job.setting.through == "environment"]
+    for setting, played in evaluation.measure(batched, workers):
         keep(setting, played)
-    for block in by_service:
-        seeds = block.missing(episodes)
-        if seeds:
-            through_service.play(model, seeds, block.setting, on_episode=lambda e, s=block.setting: keep(s, [e.result]))
+    for setting, episode in through_service.measure([job for job in jobs if job not in batched], workers):
+        keep(setting, [episode])
 
 
 def _record(model: Path, results: Results, path: Path, blocks: Sequence[Block]) -> None:
