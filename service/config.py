@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
-from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM, LockMode
+from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM, YAW_HALF_RANGE_RAD, LockMode
 from service.messages import NAME_PATTERN
 
 PATH_VARIABLE = "DSL_ASSEMBLY_CONFIG"
@@ -105,7 +105,7 @@ class LimitsSection(Section):
     max_press_m: Annotated[float, Field(gt=0.0, le=0.02, allow_inf_nan=False)] = 5e-3
     max_hole_offset_m: tuple[Positive, Positive, Positive] = (0.08, 0.06, 0.05)
     workspace_m: Box
-    yaw_range_rad: Annotated[float, Field(gt=0.0, le=3.14159, allow_inf_nan=False)] = 1.45
+    yaw_range_rad: Annotated[float, Field(gt=0.0, le=3.14159, allow_inf_nan=False)] = YAW_HALF_RANGE_RAD
     clamped_steps: Annotated[int, Field(ge=1, le=100)] = 5
     stop_confirm_s: Annotated[float, Field(ge=0.05, le=2.0, allow_inf_nan=False)] = 0.5
     policy_deadline_s: Annotated[float, Field(ge=0.005, le=0.5, allow_inf_nan=False)] = 0.12

@@ -1,7 +1,5 @@
 """The cells of one worker of a training. Apart, because a worker loads no torch."""
 
-import math
-
 from training.episodes import TaskSource
 from training.experiment import Experiment
 from training.insertion import Insertions
@@ -22,7 +20,6 @@ def make_cells(experiment: Experiment, seed: int, steps: int, worker: int) -> En
         force_ceiling_n=task.force_ceiling_n,
         reward_name=task.reward,
         force_cost_per_n=task.force_cost_per_n,
-        start_yaw_rad=math.radians(task.start_yaw_deg),
         slips=task.slips,
         misreads=task.misreads,
     )

@@ -23,8 +23,6 @@ FOLDER = Path(__file__).parent / "experiments"
 Count = Annotated[int, Field(ge=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-MAX_START_YAW_DEG = 80.0
-"""Within the yaw that commands are bounded to."""
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -47,7 +45,6 @@ class TaskSection(Section):
         clearance_mm: range of clearances per face to draw from, tight ones more often.
         conditions: distributions of an episode, see `docs/conditions.md`.
         randomise_plant: friction, stiffness, delay and mass vary.
-        start_yaw_deg: half range of the tool's yaw at an episode's beginning; a cell and every evaluation begin at 0.
         slips: share of the training episodes in which the hole slips once to another place and yaw.
         misreads: share of the training episodes in which the policy reads the torque about z times a factor within ±1.
         reward: of `training.reward`.
@@ -62,7 +59,6 @@ class TaskSection(Section):
     clearance_mm: tuple[Positive, Positive]
     conditions: Conditions = "standard"
     randomise_plant: bool = True
-    start_yaw_deg: Annotated[float, Field(ge=0, le=MAX_START_YAW_DEG)] = 0.0
     slips: Share = 0.0
     misreads: Share = 0.0
     reward: RewardName = "potential"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from service.hard_limits import YAW_HALF_RANGE_RAD
 from service.policy.contract import PolicyContract
 from service.policy.observation import Measurement
 from service.safety import bounds, dsl
@@ -87,7 +88,6 @@ class Insertions:
         force_ceiling_n: resultant at which the cell stops, N.
         reward_name: which reward.
         force_cost_per_n: in the reward `potential`, of the episode's peak above `reward.FORCE_FREE_N`.
-        start_yaw_rad: half range about the start pose's yaw at which episodes begin, by their seed; for training.
         slips: share of the episodes in which the hole slips once to another place and yaw; for training.
         misreads: share of the episodes in which the policy reads the torque about z times a factor within ±1: by what
             it has learned of one peg's torques another peg misleads it; for training.
@@ -102,7 +102,6 @@ class Insertions:
         force_ceiling_n: float = 30.0,
         reward_name: RewardName = "potential",
         force_cost_per_n: float = reward.FORCE_COST_PER_N,
-        start_yaw_rad: float = 0.0,
         slips: float = 0.0,
         misreads: float = 0.0,
     ) -> None:
@@ -111,7 +110,6 @@ class Insertions:
         self.world = World(n, part, threads)
         self._reward_name = reward_name
         self._force_cost_per_n = force_cost_per_n
-        self._start_yaw_rad = start_yaw_rad
         self._slips = slips
         self._slip_at = np.full(n, -1)
         self._slip = np.zeros((n, 3))
@@ -154,9 +152,10 @@ class Insertions:
         """
         world = self.world
         world.reset(cells, tasks)
+        self._mislead(cells, tasks)
         known = self._nominal[cells] if self.contract.mode == "FTM" else world.camera(cells)
         hover = known + np.column_stack([np.zeros((len(cells), 2)), world.hover(cells)])
-        world.place(cells, hover, self._start_yaw[cells] + self._vary(cells, tasks))
+        world.place(cells, hover, self._start_yaw[cells])
         world.zero_ft(cells)
         world.engage(cells, *self._law, self._limits)
         mask = np.zeros(self.n, np.bool_)
@@ -252,18 +251,15 @@ class Insertions:
             ]
         ).astype(np.float32)
 
-    def _vary(self, cells: Cells, tasks: Sequence[Task]) -> Array:
-        """Draw what only training varies; (k,) the yaw at which the episodes begin, about that of the start pose."""
-        turned = np.zeros(len(cells))
-        if not (self._start_yaw_rad or self._slips or self._misreads):
-            return turned
-        for i, (cell, task) in enumerate(zip(cells, tasks, strict=True)):
+    def _mislead(self, cells: Cells, tasks: Sequence[Task]) -> None:
+        """Draw by their seeds what only training does to episodes."""
+        if not (self._slips or self._misreads):
+            return
+        for cell, task in zip(cells, tasks, strict=True):
             rng = np.random.default_rng([task.seed, 1])
-            turned[i] = self._start_yaw_rad * rng.uniform(-1.0, 1.0)
             self._slip_at[cell] = rng.integers(*SLIP_STEPS) if rng.uniform() < self._slips else -1
             self._slip[cell] = *rng.normal(0.0, SLIP_SIGMA_M, 2), rng.uniform(-SLIP_YAW_RAD, SLIP_YAW_RAD)
             self._torque_read[cell] = rng.uniform(-1.0, 1.0) if rng.uniform() < self._misreads else 1.0
-        return turned
 
     def _slip_holes(self) -> None:
         """Move the holes that are due; that they were nearer or farther before earns nothing."""
@@ -332,7 +328,7 @@ def command_bounds(ticks_per_step: int, limits: Limits) -> bounds.BoundsParamete
         workspace_lower=lower,
         workspace_upper=upper,
         yaw_centre_rad=START_YAW_RAD,
-        yaw_half_range_rad=1.45,
+        yaw_half_range_rad=YAW_HALF_RANGE_RAD,
     )
 
 

@@ -250,19 +250,6 @@ def test_an_episode_leaves_nothing_behind_in_the_next() -> None:
 # --- what only training varies
 
 
-def test_training_episodes_begin_turned_by_their_seed_and_no_others_do() -> None:
-    def begun_at(start_yaw_rad: float) -> np.ndarray:
-        cells = Insertions(design.contract_for(), 3, start_yaw_rad=start_yaw_rad)
-        cells.reset(EVERYONE, TASKS)
-        return np.asarray(pose.yaw_of(cells.world.rotation)) - START_YAW_RAD
-
-    assert np.abs(begun_at(0.0)).max() < 1e-9
-    turned = begun_at(1.3)
-    assert np.ptp(turned) > 0.3
-    assert np.abs(turned).max() < 1.3
-    assert np.array_equal(turned, begun_at(1.3))
-
-
 def test_a_hole_slips_once_in_a_training_episode_earns_nothing_by_it_and_the_camera_does_not_notice() -> None:
     slipping, still = Insertions(design.contract_for(), 1, slips=1.0), Insertions(design.contract_for(), 1)
     for cells in (slipping, still):
