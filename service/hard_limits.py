@@ -9,8 +9,8 @@ TORQUE_HARD_MAXIMUM_NM = 10.0
 """Highest torque ceiling that can be configured: the end of the sensor's range."""
 
 YAW_HALF_RANGE_RAD = radians(65)
-"""How far from the start's yaw commands may turn, unless a cell says otherwise. A hole's yaw is within 60° of it. Further
-out a triangle's next corner would fit as well, and a policy that learned to go there fails with other pegs.
+"""How far from the start's yaw commands may turn, unless a cell says otherwise. A hole's yaw is within 60° of it.
+Further out a triangle's next corner would fit as well, and a policy that learned to go there fails with other pegs.
 """
 
 LockMode = Literal["paper", "peck", "sliding", "off"]
