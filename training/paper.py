@@ -137,6 +137,7 @@ class Strength(Section):
     Attributes:
         results: name of the policy that they are set for.
         beside: names of others.
+        hardened: conditions that the policy is measured in beside its standard ones.
         ftm: what the policy without a camera is to reach.
         peak_force_p99_n: largest 99th percentile of the peak force wanted.
         levels: in falling order of clearance.
@@ -144,6 +145,7 @@ class Strength(Section):
 
     results: str
     beside: tuple[str, ...]
+    hardened: Conditions
     ftm: FtmTarget
     peak_force_p99_n: float
     levels: tuple[Level, ...]
@@ -237,6 +239,9 @@ def reported(name: str, mode: Mode) -> list[tuple[Part, float, Conditions, dsl.M
     found: list[tuple[Part, float, Conditions, dsl.Mode | None]] = [
         (*cell, None) for plan, wanted in plans if wanted for cell in cells_of(plan, mode)
     ]
+    if name == strength.results:
+        for part, level, _ in cells_of(Plan.STRENGTH, mode):
+            found.append((part, level, strength.hardened, None))
     drawn = conditions_for(mode)
     for level in sorted({level for gap in everything.table_1.gaps for level in gap.clearance_mm}):
         if name in [row.reproduction(level) for row in rows]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from service.safety import dsl
-from training.paper import Comparison, Level, Locked
+from training.paper import Comparison, Level, Locked, Strength
 from training.report import plots, policies
 from training.report.document import Block, Heading, Judged, Paragraph, Picture, Table
 from training.report.measured import (
@@ -109,7 +109,7 @@ def conditions(measured: Measured, comparison: Comparison) -> Iterator[Block]:
         "the hole's mouth with the peg's axis inside the hole, at the episode's end. Intervals are 95 % Wilson "
         "intervals. Peak force is the largest resultant over every 2 ms sample of an episode, as the cell's sensor has "
         "it, noise included; tables give median / 99th percentile / maximum over episodes. c is the clearance per "
-        "face. The distributions named `standard`, `search` and `transfer` are in [conditions.md](conditions.md)."
+        "face. The distributions `standard`, `search`, `stiff` and `transfer` are in [conditions.md](conditions.md)."
     )
     sessions = [s for results in measured.results.values() for block in results.blocks for s in block.sessions]
     if sessions:
@@ -145,9 +145,9 @@ def strength(measured: Measured, comparison: Comparison) -> Iterator[Block]:
                 "–" if block is None else str(sum(e.fault for e in block.episodes)),
             ]
         )
-    yield Table(
-        ["c", "the paper", "target", "success", "10 mm deep", "episodes", "steps", "peak force, N", "faults"], lines
-    )
+    header = ["c", "the paper", "target", "success", "10 mm deep", "episodes", "steps", "peak force, N", "faults"]
+    yield Table(header, lines)
+    yield from _hardened(measured, wanted)
     names = [name for name in (wanted.results, *wanted.beside) if name in measured.results]
     series = [(name, _rates(measured, name, wanted.levels)) for name in names]
     series = [(name, rates) for name, rates in series if rates]
@@ -165,6 +165,20 @@ def strength(measured: Measured, comparison: Comparison) -> Iterator[Block]:
             rows.append(["peak force, N", *(peaks(block) for block in blocks)])
         header = ["", *(f"{level.clearance_mm:g} mm" for level in wanted.levels)]
         yield Table(header, rows, frozenset(range(0, len(rows), 2)))
+
+
+def _hardened(measured: Measured, wanted: Strength) -> Iterator[Block]:
+    """The same policy where it is harder."""
+    levels = [level.clearance_mm for level in wanted.levels]
+    blocks = [(level, measured.block(wanted.results, level, conditions=wanted.hardened)) for level in levels]
+    lines: list[list[str | Judged]] = [
+        [f"{level:g} mm", success(block), peaks(block), str(sum(e.fault for e in block.episodes))]
+        for level, block in blocks
+        if block is not None
+    ]
+    if lines:
+        yield Paragraph(f"The same policy in the conditions `{wanted.hardened}`:")
+        yield Table(["c", "success", "peak force, N", "faults"], lines)
 
 
 def _rates(measured: Measured, name: str, levels: Sequence[Level]) -> list[plots.Rate]:
@@ -270,7 +284,13 @@ def service(measured: Measured) -> Iterator[Block]:
     yield Paragraph(
         "The control process with its own configuration, watchdogs and criterion, as a process of its own, and the "
         "world in another one: the simulated arm over Zenoh, in lockstep, or an emulated UR controller over RTDE, in "
-        "real time. Success is the simulator's truth where the tool stood at the end."
+        "real time. Success is the simulator's truth where the tool stood at the end. SHA-256 of the sources of both: "
+        + "; ".join(
+            f"`{name}` `{results.deployed_sources[:12]}`"
+            for name, results in measured.results.items()
+            if results.deployed_sources is not None
+        )
+        + "."
     )
     header = ["policy", "part", "c", "conditions", "through", "episodes", "success", "environment, same seeds"]
     yield Table([*header, "peak force, N", "outcome ≠ truth", "ended by"], lines)

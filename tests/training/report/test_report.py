@@ -121,6 +121,13 @@ def test_a_target_is_met_by_the_rate_and_the_paper_is_beaten_by_the_lower_end_of
     assert line_with(doubtful, "above the paper at 1.33 mm").endswith("| 81.2 % | missed |")
 
 
+def test_harder_conditions_stand_beside_the_standard_ones_and_do_not_count_as_them() -> None:
+    text = told(Measured({"vftm-dsl": results(block(40, conditions="stiff"))}, ()))
+    assert line_with(text, "success at 1.33 mm per face").endswith("| not measured | not measured |")
+    assert "The same policy in the conditions `stiff`" in text
+    assert line_with(text, "| 1.33 mm | **80.0 %**")
+
+
 def test_a_limit_of_force_is_met_only_once_every_clearance_was_measured() -> None:
     levels = [level.clearance_mm for level in paper.comparison().strength.levels]
 
