@@ -144,6 +144,8 @@ class AlgorithmSection(Section):
         minibatches: per pass; each holds whole sequences of some of the cells.
         gamma: discount of the return.
         gae_lambda: of the advantages (Schulman et al., 2016).
+        averaging: share of the old in the running average of the weights at each update; that average is evaluated and
+            exported; 0: the latest weights.
         entropy: weight of the bonus for exploration.
         auxiliary_weight: of the error of the head that predicts where the hole is.
         initial_log_std: of the exploration; at least that with `start_from`.
@@ -161,6 +163,7 @@ class AlgorithmSection(Section):
     minibatches: Count = 4
     gamma: Share = 0.99
     gae_lambda: Share = 0.95
+    averaging: Annotated[float, Field(ge=0, lt=1)] = 0.0
     entropy: NotNegative = 1e-3
     auxiliary_weight: NotNegative = 0.5
     initial_log_std: float = -0.7

@@ -3,13 +3,15 @@
 import math
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
@@ -53,7 +55,7 @@ def learn(run: Run, start_from: Path | None = None, deadline_s: float = float("i
         training.go_on(deadline_s)
     finally:
         training.close()
-    return training.network
+    return training.policy
 
 
 def untrained(experiment: Experiment, seed: int) -> ActorCritic:
@@ -73,6 +75,8 @@ class _Training:
         self._contract = run.experiment.contract()
         self.network = untrained(run.experiment, run.seed)
         self._optimiser = torch.optim.Adam(self.network.parameters(), self._algorithm.learning_rate, eps=ADAM_EPSILON)
+        average = cast(Callable[..., None], get_ema_multi_avg_fn(self._algorithm.averaging))
+        self._averaged = AveragedModel(self.network, multi_avg_fn=average)
         self._steps, self._earlier_s, self._evaluated = 0, 0.0, -1
         self._best = (-1.0, 0.0)
         checkpoint = read(run.checkpoint) if run.checkpoint.is_file() else None
@@ -89,6 +93,8 @@ class _Training:
             self._check_contract(checkpoint)
             run.open(checkpoint["steps"])
             self._restore(checkpoint)
+        if checkpoint is None:
+            self._averaged.update_parameters(self.network)
         self._cells = start(partial(make_cells, self._experiment, run.seed, self._steps), self._algorithm.workers)
         self._board = SummaryWriter(run.directory / "tensorboard", purge_step=self._steps)
         self._recent: Ended | None = None
@@ -112,6 +118,7 @@ class _Training:
                 losses = ppo.update(self.network, self._optimiser, rollout, self._algorithm)
                 if not (all(map(math.isfinite, asdict(losses).values())) and self.network.finite):
                     raise TrainingError(f"diverged at {self._steps} steps: {losses}; try a smaller learning_rate")
+                self._averaged.update_parameters(self.network)
                 self._steps += rollout.reward.numel()
                 bar.update(rollout.reward.numel())
                 self._note(rollout, losses, time.monotonic() - began, bar)
@@ -123,6 +130,11 @@ class _Training:
     def close(self) -> None:
         self._cells.close()
         self._board.close()
+
+    @property
+    def policy(self) -> ActorCritic:
+        """The running average of the weights (Polyak & Juditsky, 1992), which is what comes of a training."""
+        return cast(ActorCritic, self._averaged.module)
 
     @property
     def _elapsed_s(self) -> float:
@@ -156,7 +168,7 @@ class _Training:
 
     def _evaluate(self) -> None:
         """Play the validation's episodes; keep the weights if they are the best so far."""
-        validations = validate(self._experiment, to_onnx(self.network, self._contract), self._cells)
+        validations = validate(self._experiment, to_onnx(self.policy, self._contract), self._cells)
         for validation in validations:
             record = validation.record()
             self._add("evaluation", f"evaluation/{validation.part} {validation.clearance_m * 1e3:.2f} mm", record)
@@ -188,7 +200,7 @@ class _Training:
 
     def _weights(self) -> dict[str, Any]:
         return {
-            "net": self.network.state_dict(),
+            "net": self.policy.state_dict(),
             "steps": self._steps,
             "elapsed_s": self._elapsed_s,
             "contract": self._contract.to_json(),
@@ -199,6 +211,7 @@ class _Training:
             self._run.checkpoint,
             {
                 **self._weights(),
+                "learning": self.network.state_dict(),
                 "optimiser": self._optimiser.state_dict(),
                 "evaluated": self._evaluated,
                 "random": torch.get_rng_state(),
@@ -215,7 +228,9 @@ class _Training:
             )
 
     def _restore(self, document: dict[str, Any]) -> None:
-        self.network.load_state_dict(document["net"])
+        self.network.load_state_dict(document["learning"])
+        self.policy.load_state_dict(document["net"])
+        self._averaged.n_averaged += 1
         self._optimiser.load_state_dict(document["optimiser"])
         torch.set_rng_state(document["random"])
         self._steps, self._earlier_s = document["steps"], document["elapsed_s"]

@@ -108,6 +108,21 @@ def test_a_training_leaves_its_account_its_progress_and_its_best_model(tmp_path:
     assert best["steps"] == max(returns, key=lambda steps: returns[steps])  # success is 0 throughout
 
 
+def test_what_comes_of_a_training_is_the_running_average_of_its_weights_and_goes_on(tmp_path: Path) -> None:
+    asked = experiment(algorithm={"averaging": 0.9, "steps": 32})
+    before = untrained(asked, 0).state_dict()
+    for steps in (32, 64):
+        asked = asked.model_copy(update={"algorithm": asked.algorithm.model_copy(update={"steps": steps})})
+        policy = learn(Run(asked, 0, tmp_path)).state_dict()
+        found = read(tmp_path / "checkpoint.pt")
+        for name, weights in policy.items():
+            assert torch.equal(found["net"][name], weights)
+            if not name.startswith("normalise"):
+                torch.testing.assert_close(weights, 0.9 * before[name] + 0.1 * found["learning"][name])
+        assert not torch.equal(policy["log_std"], found["learning"]["log_std"])
+        before = policy
+
+
 def test_the_same_seed_trains_the_same_network_and_another_another(tmp_path: Path) -> None:
     asked = experiment(evaluation={"every_steps": 1000})
     first, again, other = (learn(Run(asked, seed, tmp_path / name)) for seed, name in ((0, "a"), (0, "b"), (1, "c")))
