@@ -23,7 +23,10 @@ DECIDING = (
     *(f"training/{name}.py" for name in ("evaluate", "insertion", "reward")),
 )
 """What an episode in the batched environment depends on, besides the policy's file; a test looks for missing ones."""
-DEPLOYED = ("service/**/*.py", "sim_backend/**/*.py", "training/through_service.py")
+DEPLOYED = (
+    *(f"{package}/**/*.{kind}" for package in ("service", "sim_backend") for kind in ("py", "urscript", "lark")),
+    "training/through_service.py",
+)
 """What an episode through the deployed service may depend on besides."""
 DIRTY = "-dirty"
 
@@ -33,10 +36,8 @@ def commit() -> str | None:
 
     Results, documents and policies may differ from the commit: a file of results says which policy it is of.
     """
-    head = _git("rev-parse", "HEAD")
-    if not head:
-        return None
-    return head + (DIRTY if _git("status", "--porcelain", "--", *CODE) else "")
+    head = _git("rev-parse", "--verify", "HEAD")
+    return None if head is None else head + (DIRTY if _git("status", "--porcelain", "--", *CODE) != "" else "")
 
 
 def machine() -> str:
@@ -76,13 +77,13 @@ def _digest(names: Iterable[str]) -> str:
     return digest.hexdigest()
 
 
-def _git(*arguments: str) -> str:
-    """What git says of this project; nothing where it is no working tree, or there is no git."""
+def _git(*arguments: str) -> str | None:
+    """What git says of this project; None where it cannot tell, as where this is no working tree."""
     git = shutil.which("git")
     if git is None:
-        return ""
+        return None
     done = subprocess.run([git, *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
-    return done.stdout.strip()
+    return None if done.returncode else done.stdout.strip()
 
 
 def _processor() -> str:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from itertools import count
 from pathlib import Path
 from typing import Any, Literal, Self, cast
 
@@ -177,20 +176,22 @@ class Block(Section):
     def wall_s(self) -> float:
         return sum(session.wall_s for session in self.sessions)
 
-    def first(self, number: int) -> "Block":
-        """The first `number` episodes."""
-        return self.model_copy(update={"episodes": self.episodes[:number]})
+    def first(self, count: int) -> "Block":
+        """The first `count` episodes."""
+        return self.model_copy(update={"episodes": self.episodes[:count]})
 
     def unbroken(self) -> "Block":
         """The episodes from the first seed up to the first one that was not played."""
-        played = {episode.seed for episode in self.episodes}
-        return self.first(next(n for n in count() if self.setting.first_seed + n not in played))
+        first = self.setting.first_seed
+        return self.model_copy(
+            update={"episodes": tuple(e for n, e in enumerate(self.episodes) if e.seed == first + n)}
+        )
 
-    def missing(self, number: int) -> list[int]:
-        """Seeds of the first `number` that have not been played."""
+    def missing(self, count: int) -> list[int]:
+        """Seeds of the first `count` that have not been played."""
         played = {episode.seed for episode in self.episodes}
         first = self.setting.first_seed
-        return [seed for seed in range(first, first + number) if seed not in played]
+        return [seed for seed in range(first, first + count) if seed not in played]
 
     def with_episodes(self, more: Iterable[EpisodeResult]) -> "Block":
         """This block with more episodes; one played again takes the place of the old one."""

@@ -14,7 +14,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import CancelledError, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,33 +123,29 @@ def measure(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Setting, Episod
     Raises:
         ServiceError: as `play`; what has ended before was given.
     """
-    told: SimpleQueue[tuple[Setting, EpisodeResult] | Exception | None] = SimpleQueue()
+    told: SimpleQueue[tuple[Setting, EpisodeResult] | Future[None]] = SimpleQueue()
     enough = threading.Event()
 
     def run(job: Job) -> None:
         def tell(episode: ServiceEpisode) -> None:
-            told.put((job.setting, episode.result))
             if enough.is_set():
                 raise CancelledError
+            told.put((job.setting, episode.result))
 
-        try:
-            play(job.model, list(job.seeds), job.setting, on_episode=tell)
-        except Exception as error:
-            told.put(error)
-        else:
-            told.put(None)
+        play(job.model, list(job.seeds), job.setting, on_episode=tell)
 
     with ThreadPoolExecutor(workers) as pool:
-        left = len([pool.submit(run, job) for job in jobs])
         try:
+            for job in jobs:
+                pool.submit(run, job).add_done_callback(told.put)
+            left = len(jobs)
             while left:
-                episode = told.get()
-                if isinstance(episode, Exception):
-                    raise episode
-                if episode is None:
+                item = told.get()
+                if isinstance(item, Future):
+                    item.result()
                     left -= 1
                 else:
-                    yield episode
+                    yield item
         finally:
             enough.set()
             pool.shutdown(wait=True, cancel_futures=True)

@@ -64,7 +64,7 @@ def test_a_change_of_the_service_shows_where_it_was_played_through(
         shutil.copytree(provenance.ROOT / package, tmp_path / package)
     monkeypatch.setattr(provenance, "ROOT", tmp_path)
     assert provenance.deployed_sources.__wrapped__() == deployed
-    for name in ("service/cell/cell.py", "service/drivers/sim_wire.py", "sim_backend/ur_controller/controller.py"):
+    for name in ("service/cell/cell.py", "service/drivers/sim_wire.py", "service/drivers/ur/control_program.urscript"):
         with (tmp_path / name).open("a") as file:
             file.write("# a change")
         changed = provenance.deployed_sources.__wrapped__()
@@ -87,6 +87,7 @@ def test_a_commit_is_marked_where_code_differs_and_not_where_results_do(
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("as committed")
     git("init")
+    assert provenance.commit() is None
     git("add", ".")
     git("commit", "-m", "all")
     (tmp_path / "results/r.json").write_text("more episodes")

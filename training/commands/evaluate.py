@@ -270,9 +270,10 @@ def _known(policy: Policy, path: Path, deployed: str | None, *, anew: bool) -> R
 def _play(model: Path, policy: Policy, blocks: Sequence[Block], episodes: int, workers: int, keep: _Keeper) -> None:
     jobs = [job for block in blocks for job in evaluation.jobs_of(model, policy.sha256, block, episodes)]
     batched = [job for job in jobs if job.setting.through == "environment"]
+    deployed = [job for job in jobs if job.setting.through != "environment"]
     for setting, played in evaluation.measure(batched, workers):
         keep(setting, played)
-    for setting, episode in through_service.measure([job for job in jobs if job not in batched], workers):
+    for setting, episode in through_service.measure(deployed, workers):
         keep(setting, [episode])
 
 
