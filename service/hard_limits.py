@@ -1,4 +1,4 @@
-"""What no configuration, recipe or policy may raise, and what both a cell and a training must have alike."""
+"""What no configuration, recipe or policy may raise, and the default that cells and trainings share."""
 
 from typing import Literal
 
@@ -8,7 +8,7 @@ TORQUE_HARD_MAXIMUM_NM = 10.0
 """Highest torque ceiling that can be configured: the end of the sensor's range."""
 
 YAW_HALF_RANGE_RAD = 1.45
-"""How far from the start's yaw commands may turn, unless a cell says otherwise: 83°, of which a hole needs 60°."""
+"""Default of how far from the start's yaw commands may turn; a cell may say otherwise: 83°, a hole needs 60°."""
 
 LockMode = Literal["paper", "peck", "sliding", "off"]
 """How the depth may be limited; `service.safety.dsl` says what each one does."""

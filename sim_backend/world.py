@@ -28,9 +28,9 @@ START_POSITION_M = (scene.NOMINAL_HOLE_M[0], scene.NOMINAL_HOLE_M[1], 0.180)
 """TCP at which an episode begins, tool down."""
 START_YAW_RAD = 0.0
 ESTIMATE_TICKS = 20
+"""Ticks per camera frame."""
 FLOOR_GIVE_M = 1e-3
 """How deep below the floor's level a peg that stands on it may read."""
-"""Ticks per camera frame."""
 _NEAR_JOINTS = np.array([-0.2, -1.9, -1.7, -1.1, 1.57, 0.0])
 """Elbow up, over the table: the branch of the inverse kinematics that the arm lives on."""
 

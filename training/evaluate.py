@@ -23,7 +23,7 @@ FIRST_TEST_SEED = 2_000_000
 AUTHOR_DEPTH_M = 10e-3
 """The depth that the author's code calls success."""
 CELLS = 25
-"""Stepped together in one process: as many episodes as one job of `measure` has."""
+"""Most episodes of one job: stepped together in the batched environment, one after another through the service."""
 
 
 class Actor(Protocol):

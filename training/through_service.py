@@ -86,7 +86,12 @@ class ServiceEpisode:
 
 
 def play(
-    model: Path, seeds: list[int], setting: Setting, *, on_episode: Callable[[ServiceEpisode], object] = lambda _: None
+    model: Path,
+    seeds: list[int],
+    setting: Setting,
+    *,
+    sha256: str | None = None,
+    on_episode: Callable[[ServiceEpisode], object] = lambda _: None,
 ) -> list[ServiceEpisode]:
     """Play seeds, one after another.
 
@@ -94,6 +99,7 @@ def play(
         model: ONNX file of the policy.
         seeds: of the worlds.
         setting: part, clearance, conditions, ceiling, and through which arm; its lock is the policy's own.
+        sha256: that the file must have, or the service refuses it; None: any.
         on_episode: is told each run when it has ended.
 
     Raises:
@@ -106,7 +112,7 @@ def play(
         simulator = processes.enter_context(_process(world, logs[0]))
         ready = _await_line(simulator, logs[0])
         config = Path(directory) / "cell.toml"
-        config.write_text(_toml(_configuration(model, setting, cell_endpoint, sim_endpoint, ready)))
+        config.write_text(_toml(_configuration(model, sha256, setting, cell_endpoint, sim_endpoint, ready)))
         service = processes.enter_context(_process(["service", "run", "--config", str(config)], logs[1]))
         try:
             return asyncio.run(_play(seeds, setting, cell_endpoint, sim_endpoint, on_episode))
@@ -132,7 +138,7 @@ def measure(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Setting, Episod
                 raise CancelledError
             told.put((job.setting, episode.result))
 
-        play(job.model, list(job.seeds), job.setting, on_episode=tell)
+        play(job.model, list(job.seeds), job.setting, sha256=job.sha256, on_episode=tell)
 
     with ThreadPoolExecutor(workers) as pool:
         try:
@@ -158,7 +164,7 @@ def _arm(setting: Setting) -> list[str]:
 
 
 def _configuration(
-    model: Path, setting: Setting, cell_endpoint: str, sim_endpoint: str, ready: dict[str, str]
+    model: Path, sha256: str | None, setting: Setting, cell_endpoint: str, sim_endpoint: str, ready: dict[str, str]
 ) -> dict[str, dict[str, Any]]:
     """Sections of the cell's TOML; `ready` is what the simulator said when it came up."""
     over_rtde = setting.through == "rtde"
@@ -182,7 +188,8 @@ def _configuration(
             "conditions": setting.conditions,
             "allow_lock": ["paper", "peck", "sliding", "off"],  # a measurement, not a cell at work
             "retract": False,  # so that the end of the run can be looked at
-        },
+        }
+        | ({} if sha256 is None else {"policy_sha256": sha256}),
     }
     if over_rtde:
         sections["ur"] = {

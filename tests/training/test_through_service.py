@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from service.messages import Run, RunState
+from service.policy.model import Policy
 from sim_backend.protocol.task import Task
 from training import through_service
 from training.evaluate import Job
@@ -40,7 +41,8 @@ def test_the_service_plays_the_seeds_it_is_told_and_the_simulator_judges_them(mo
     played = through_service.play(model_path, SEEDS, setting("zenoh"), on_episode=told.append)
     check(played, SEEDS)
     assert told == played
-    jobs = [Job(model_path, "", setting("zenoh"), (seed,)) for seed in SEEDS]
+    sha256 = Policy.load(model_path).sha256
+    jobs = [Job(model_path, sha256, setting("zenoh"), (seed,)) for seed in SEEDS]
     side_by_side = {episode.seed: episode for _, episode in through_service.measure(jobs, 2)}
     assert side_by_side == {episode.seed: episode.result for episode in played}
 
@@ -66,3 +68,9 @@ def test_a_policy_that_the_service_refuses_is_reported_with_what_it_said(tmp_pat
     model.write_bytes(b"nothing")
     with pytest.raises(through_service.ServiceError, match="no ONNX model"):
         through_service.play(model, [1], setting("zenoh"))
+
+
+def test_a_file_that_was_replaced_meanwhile_is_not_played(model_path: Path) -> None:
+    job = Job(model_path, "0" * 64, setting("zenoh"), (SEEDS[0],))
+    with pytest.raises(through_service.ServiceError, match="SHA-256"):
+        list(through_service.measure([job], 1))

@@ -284,7 +284,7 @@ def service(measured: Measured) -> Iterator[Block]:
     yield Paragraph(
         "The control process with its own configuration, watchdogs and criterion, as a process of its own, and the "
         "world in another one: the simulated arm over Zenoh, in lockstep, or an emulated UR controller over RTDE, in "
-        "real time. Success is the simulator's truth where the tool stood at the end. SHA-256 of the sources of both: "
+        "real time. Success is the simulator's truth where the tool stood at the end. SHA-256 of the sources: "
         + "; ".join(
             f"`{name}` `{results.deployed_sources[:12]}`"
             for name, results in measured.results.items()
