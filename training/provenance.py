@@ -51,9 +51,8 @@ def sources() -> str:
     return _digest(DECIDING)
 
 
-@cache
 def deployed_sources() -> str:
-    """Return the SHA-256 of `DECIDING` and `DEPLOYED` together."""
+    """Return the SHA-256 of `DECIDING` and `DEPLOYED` together, as they are now: a service starts from the files."""
     found = (path for pattern in DEPLOYED for path in ROOT.glob(pattern))
     return _digest({*DECIDING, *(path.relative_to(ROOT).as_posix() for path in found)})
 

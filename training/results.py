@@ -14,7 +14,15 @@ from pathlib import Path
 from typing import Any, Literal, Self, cast
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError, field_serializer, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    JsonValue,
+    ValidationError,
+    field_serializer,
+    field_validator,
+    model_validator,
+)
 
 from service.policy.contract import EvaluationFigure
 from service.policy.observation import Mode
@@ -117,7 +125,7 @@ class Session(Section):
         commit: of this project.
         machine: processor and cores.
         versions: of Python and the packages that matter.
-        workers: processes that played.
+        workers: how many played at once: processes of the batched environment, or services.
         episodes: played in it.
         wall_s: from its beginning to its end.
     """
@@ -268,6 +276,12 @@ class Results(Section):
     provenance: dict[str, JsonValue]
     blocks: tuple[Block, ...] = ()
 
+    @model_validator(mode="after")
+    def _service_is_known(self) -> Self:
+        if self.deployed_sources is None and any(block.setting.through != "environment" for block in self.blocks):
+            raise ValueError("episodes through the service, but not of which sources (deployed_sources)")
+        return self
+
     def block(self, setting: Setting) -> Block:
         """Block of a setting, an empty one where nothing was measured."""
         return next((block for block in self.blocks if block.setting == setting), Block(setting=setting))
@@ -281,6 +295,10 @@ class Results(Section):
         else:
             blocks.append(block)
         return self.model_copy(update={"blocks": tuple(blocks)})
+
+    def unbroken(self) -> Self:
+        """These results, each block up to the first seed that was not played: short episodes end first."""
+        return self.model_copy(update={"blocks": tuple(block.unbroken() for block in self.blocks)})
 
     def without_service(self) -> Self:
         """These results without what went through the service."""

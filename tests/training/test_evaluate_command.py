@@ -169,7 +169,7 @@ def test_results_through_another_service_are_not_added_to_and_go_alone(
     assert "nobody plays" in refused("model.onnx", *zenoh, "--anew")
     episode = EpisodeResult(seed=setting.first_seed, success=True, fault=False, steps=33, peak_force_n=9.0)
 
-    def somebody(*_: object, on_episode: Callable[[object], object]) -> None:
+    def somebody(*_: object, on_episode: Callable[[object], object], **__: object) -> None:
         on_episode(SimpleNamespace(result=episode))
 
     monkeypatch.setattr(through_service, "play", somebody)
@@ -178,6 +178,11 @@ def test_results_through_another_service_are_not_added_to_and_go_alone(
     assert found.deployed_sources == provenance.deployed_sources()
     assert len(found.block(earlier.blocks[0].setting).episodes) == 2
     assert found.block(setting).episodes == (episode,)
+    known = file.read_bytes()
+    digests = iter([provenance.deployed_sources(), "edited meanwhile"])
+    monkeypatch.setattr(provenance, "deployed_sources", lambda: next(digests))
+    assert "changed while it was measured" in refused("model.onnx", *EASY, "--episodes", "2", "--through", "zenoh")
+    assert file.read_bytes() == known
 
 
 def test_results_that_another_process_adds_to_are_refused(here: Path, played: list[int]) -> None:

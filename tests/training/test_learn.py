@@ -17,6 +17,8 @@ from training.experiment import Experiment, ExperimentError  # noqa: E402
 from training.export import to_onnx  # noqa: E402
 from training.learn import TrainingError, learn, untrained  # noqa: E402
 from training.run import CheckpointError, Run, read, save  # noqa: E402
+from training.validation import Validation, validate  # noqa: E402
+from training.vector import Cells  # noqa: E402
 
 EASY = {"clearance_mm": [3.0, 3.0], "lock": "off", "conditions": "easy", "randomise_plant": False, "max_steps": 80}
 """Without a lock the policy itself must find out to go down."""
@@ -121,6 +123,22 @@ def test_what_comes_of_a_training_is_the_running_average_of_its_weights_and_goes
                 torch.testing.assert_close(weights, 0.9 * before[name] + 0.1 * found["learning"][name])
         assert not torch.equal(policy["log_std"], found["learning"]["log_std"])
         before = policy
+
+
+def test_the_average_is_what_an_evaluation_plays_and_the_best_is_chosen_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played: list[bytes] = []
+
+    def watched(asked: Experiment, model: bytes, cells: Cells) -> list[Validation]:
+        played.append(model)
+        return validate(asked, model, cells)
+
+    monkeypatch.setattr("training.learn.validate", watched)
+    asked = experiment(algorithm={"averaging": 0.9})
+    policy = learn(Run(asked, 0, tmp_path))
+    assert played[-1] == to_onnx(policy, asked.contract())
+    assert len(set(played)) == len(played) == 3
 
 
 def test_the_same_seed_trains_the_same_network_and_another_another(tmp_path: Path) -> None:

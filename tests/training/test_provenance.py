@@ -58,16 +58,16 @@ def test_a_change_of_what_decides_an_episode_shows_and_where_it_lies_does_not(
 def test_a_change_of_the_service_shows_where_it_was_played_through(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    environment, deployed = provenance.sources.__wrapped__(), provenance.deployed_sources.__wrapped__()
+    environment, deployed = provenance.sources.__wrapped__(), provenance.deployed_sources()
     assert deployed != environment
     for package in provenance.CODE:
         shutil.copytree(provenance.ROOT / package, tmp_path / package)
     monkeypatch.setattr(provenance, "ROOT", tmp_path)
-    assert provenance.deployed_sources.__wrapped__() == deployed
+    assert provenance.deployed_sources() == deployed
     for name in ("service/cell/cell.py", "service/drivers/sim_wire.py", "service/drivers/ur/control_program.urscript"):
         with (tmp_path / name).open("a") as file:
             file.write("# a change")
-        changed = provenance.deployed_sources.__wrapped__()
+        changed = provenance.deployed_sources()
         assert changed != deployed
         deployed = changed
     assert provenance.sources.__wrapped__() == environment

@@ -125,11 +125,18 @@ def _ragged(document: dict[str, object]) -> None:
     document["blocks"][0]["episodes"]["steps"].pop()  # type: ignore[index]
 
 
+def _of_no_service(document: dict[str, object]) -> None:
+    document["blocks"][0]["setting"]["through"] = "zenoh"  # type: ignore[index]
+
+
 def _unknown(document: dict[str, object]) -> None:
     document["colour"] = "red"
 
 
-@pytest.mark.parametrize(("spoil", "text"), [(_ragged, "columns differ in length"), (_unknown, "colour")])
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [(_ragged, "columns differ in length"), (_unknown, "colour"), (_of_no_service, "not of which sources")],
+)
 def test_a_file_that_does_not_hold_results_is_refused_with_a_reason(tmp_path: Path, spoil: object, text: str) -> None:
     assert callable(spoil)
     path = tmp_path / "r.json"

@@ -1,6 +1,10 @@
 """A few seeds through the deployed service: real processes, real transport."""
 
+import threading
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -68,6 +72,28 @@ def test_a_policy_that_the_service_refuses_is_reported_with_what_it_said(tmp_pat
     model.write_bytes(b"nothing")
     with pytest.raises(through_service.ServiceError, match="no ONNX model"):
         through_service.play(model, [1], setting("zenoh"))
+
+
+def test_services_play_at_once_and_what_one_told_is_not_lost_by_another_that_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    meeting = threading.Barrier(2, timeout=30)
+    told = threading.Event()
+
+    def play(*arguments: Any, on_episode: Callable[[object], object], **_: object) -> None:
+        (seed,) = arguments[1]
+        meeting.wait()  # one after the other, they would not meet
+        if seed == SEEDS[1]:
+            assert told.wait(30)
+            raise through_service.ServiceError("the second fails")
+        on_episode(SimpleNamespace(result=seed))
+        told.set()
+
+    monkeypatch.setattr(through_service, "play", play)
+    measuring = through_service.measure([Job(Path("p.onnx"), "", setting("zenoh"), (seed,)) for seed in SEEDS], 2)
+    assert next(measuring) == (setting("zenoh"), SEEDS[0])
+    with pytest.raises(through_service.ServiceError, match="the second fails"):
+        list(measuring)
 
 
 def test_a_file_that_was_replaced_meanwhile_is_not_played(model_path: Path) -> None:

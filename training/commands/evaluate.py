@@ -274,6 +274,10 @@ def _play(model: Path, policy: Policy, blocks: Sequence[Block], episodes: int, w
     for setting, played in evaluation.measure(batched, workers):
         keep(setting, played)
     for setting, episode in through_service.measure(deployed, workers):
+        if provenance.deployed_sources() != keep.results.deployed_sources:
+            raise ResultsError(
+                "the service's sources changed while it was measured: the same command goes on with --anew"
+            )
         keep(setting, [episode])
 
 

@@ -24,7 +24,7 @@ from training.report.document import Block, Document, Heading, Judged, Paragraph
 from training.report.measured import NOT_MEASURED, Measured, commit_name, interval, mean_steps, peaks, percent
 from training.report.own_chapters import THROUGH
 from training.results import Block as Measurement
-from training.results import Results
+from training.results import Results, ResultsError
 
 TITLE = "Models"
 PAGE = "models.md"
@@ -73,7 +73,6 @@ class Card:
         sha256: of the file.
         contract: in the file.
         results: of this very file; None: there are none.
-        foreign_sha256: of the file that the results of this name belong to, where that is another one.
         note: what only a person can say.
     """
 
@@ -82,7 +81,6 @@ class Card:
     sha256: str
     contract: PolicyContract
     results: Results | None
-    foreign_sha256: str | None = None
     note: Note = UNKNOWN
 
     @property
@@ -118,21 +116,24 @@ def read(models: Path, measured: Measured) -> list[Card]:
 
     Raises:
         PolicyError: a cell would refuse one of them.
+        ResultsError: results of that name are of another file.
     """
     said = notes()
     found: list[Card] = []
     for path in sorted(models.glob("*.onnx"), key=lambda path: path.stem):
         policy = Policy.load(path)
         results = measured.results.get(path.stem)
-        foreign = None if results is None or results.sha256 == policy.sha256 else results.sha256
+        if results is not None and results.sha256 != policy.sha256:
+            raise ResultsError(
+                f"the results {path.stem}.json are not of {path} as it is now: measure it anew (evaluate --anew)"
+            )
         found.append(
             Card(
                 name=path.stem,
                 size_bytes=path.stat().st_size,
                 sha256=policy.sha256,
                 contract=policy.contract,
-                results=results if foreign is None else None,
-                foreign_sha256=foreign,
+                results=results,
                 note=said.get(path.stem, UNKNOWN),
             )
         )
@@ -290,10 +291,6 @@ def _limits(contract: PolicyContract) -> Iterator[Block]:
 
 
 def _measured(card: Card) -> Iterator[Block]:
-    if card.foreign_sha256 is not None:
-        yield Paragraph(
-            f"`results/{card.name}.json` is of another file (SHA-256 `{card.foreign_sha256}`) and does not count here."
-        )
     if not card.blocks and not card.recorded:
         yield Paragraph("Not measured.")
     if card.blocks:

@@ -13,7 +13,7 @@ from training.evaluate import FIRST_TEST_SEED
 from training.provenance import DIRTY
 from training.report import curves
 from training.report.curves import Curve
-from training.results import CEILING_N, Block, Results, Through
+from training.results import Block, Results, Setting, Through
 
 NOT_MEASURED = "not measured"
 EPISODES = 500
@@ -34,12 +34,12 @@ class Measured:
 
     @classmethod
     def read(cls, folder: Path) -> "Measured":
-        """Read a folder of results.
+        """Read a folder of results; of a measurement that was broken off, the episodes whose seeds follow one another.
 
         Raises:
             ResultsError: a file that does not hold what it should.
         """
-        results = {path.stem: Results.load(path) for path in sorted(folder.glob("*.json"))}
+        results = {path.stem: Results.load(path).unbroken() for path in sorted(folder.glob("*.json"))}
         return cls(results, tuple(curves.load(folder)))
 
     def block(
@@ -52,9 +52,7 @@ class Measured:
         lock: dsl.Mode | None = None,
         through: Through = "environment",
     ) -> Block | None:
-        """The largest measurement of a policy on test seeds, at the standard ceiling, returns the paper's; or None.
-
-        Of one that was broken off, the episodes whose seeds follow one another: short ones end first.
+        """The measurement of a policy on test seeds, at the standard ceiling, returns the paper's; or None.
 
         Args:
             name: of its results.
@@ -67,17 +65,17 @@ class Measured:
         results = self.results.get(name)
         if results is None:
             return None
-        wanted = (part, paper.metres(clearance_mm), conditions or paper.conditions_for(results.mode))
-        found = [
-            block.unbroken()
-            for block in results.blocks
-            if (block.setting.part, block.setting.clearance_m, block.setting.conditions) == wanted
-            and block.setting.lock == (lock or results.lock)
-            and block.setting.through == through
-            and block.setting.first_seed == FIRST_TEST_SEED
-            and (block.setting.reward, block.setting.force_ceiling_n) == ("paper", CEILING_N)
-        ]
-        return max((block for block in found if block.episodes), key=lambda block: len(block.episodes), default=None)
+        block = results.block(
+            Setting(
+                part=part,
+                clearance_m=paper.metres(clearance_mm),
+                conditions=conditions or paper.conditions_for(results.mode),
+                lock=lock or results.lock,
+                through=through,
+                first_seed=FIRST_TEST_SEED,
+            )
+        )
+        return block if block.episodes else None
 
 
 def percent(share: float) -> str:

@@ -19,7 +19,7 @@ from training.evaluate import FIRST_TEST_SEED
 from training.report import cards
 from training.report.cards import Card, Note
 from training.report.measured import Measured
-from training.results import Block, EpisodeResult, Results, Setting
+from training.results import Block, EpisodeResult, Results, ResultsError, Setting
 
 EXPORTED: dict[str, Any] = {
     "steps": 1_500_000,
@@ -58,6 +58,7 @@ def results_of(contract: PolicyContract, sha256: str, *blocks: Block) -> Results
     return Results(
         policy=contract.name,
         sources="0" * 64,
+        deployed_sources="1" * 64,
         press_m=contract.dsl.press_m,
         seek_step_m=contract.dsl.seek_step_m,
         sha256=sha256,
@@ -131,15 +132,15 @@ def test_a_model_that_nobody_measured_says_so() -> None:
     assert "The results have nothing for tr; on the plant of `transfer`; through the deployed service" in text
 
 
-def test_results_of_another_file_do_not_count(tmp_path: Path) -> None:
+def test_results_of_another_file_are_refused(tmp_path: Path) -> None:
     (tmp_path / "still.onnx").write_bytes(baseline.still())
     policy = Policy.load(tmp_path / "still.onnx")
-    for sha256, counts in ((policy.sha256, True), ("f" * 64, False)):
-        measured = Measured({"still": results_of(policy.contract, sha256, block(40))}, ())
-        text = told(*cards.read(tmp_path, measured))
-        assert ("40 of 50" in text) is counts
-        assert (f"is of another file (SHA-256 `{'f' * 64}`)" in text) is not counts
-        assert f"SHA-256 `{policy.sha256}`" in text
+    text = told(*cards.read(tmp_path, Measured({"still": results_of(policy.contract, policy.sha256, block(40))}, ())))
+    assert "40 of 50" in text
+    assert f"SHA-256 `{policy.sha256}`" in text
+    foreign = Measured({"still": results_of(policy.contract, "f" * 64, block(40))}, ())
+    with pytest.raises(ResultsError, match=r"still\.json are not of .*still\.onnx as it is now"):
+        cards.read(tmp_path, foreign)
 
 
 def test_what_export_wrote_is_told_in_words_and_where_admission_goes_beyond_it() -> None:

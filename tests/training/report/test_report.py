@@ -63,6 +63,7 @@ def results(*blocks: Block, mode: Any = "VFTM", lock: Any = "paper", **changes: 
         policy="p",
         sha256="0" * 64,
         sources="0" * 64,
+        deployed_sources="1" * 64,
         mode=mode,
         lock=lock,
         period_s=0.1,
