@@ -12,7 +12,14 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
-from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM, YAW_HALF_RANGE_RAD, LockMode
+from service.hard_limits import (
+    FORCE_HARD_MAXIMUM_N,
+    TILT_RAD,
+    TORQUE_CEILING_NM,
+    TORQUE_HARD_MAXIMUM_NM,
+    YAW_HALF_RANGE_RAD,
+    LockMode,
+)
 from service.messages import NAME_PATTERN
 
 PATH_VARIABLE = "DSL_ASSEMBLY_CONFIG"
@@ -75,7 +82,7 @@ class LimitsSection(Section):
         max_turn_rad: the same for the yaw.
         max_speed_m_s: of targets and of the arm's reference.
         max_turn_speed_rad_s: the same for the yaw.
-        max_tilt_rad: of the tool from straight down; the shipped policy stayed within 0.04 in 30 episodes at 0.1 mm.
+        max_tilt_rad: of the tool from straight down.
         max_stiffness: N/m and N·m/rad that the control program runs; a policy that wants more is refused.
         min_damping: N·s/m and N·m·s/rad; a policy that wants less is refused: with the sensor's delay it would swing.
         min_inertia: kg and kg·m², likewise.
@@ -90,7 +97,7 @@ class LimitsSection(Section):
     """
 
     force_ceiling_n: Force
-    torque_ceiling_nm: Torque = 5.0
+    torque_ceiling_nm: Torque = TORQUE_CEILING_NM
     sample_age_s: Annotated[float, Field(ge=0.006, le=0.5, allow_inf_nan=False)] = 0.05
     stuck_samples: Annotated[int, Field(ge=2, le=500)] = 10
     target_age_s: Annotated[float, Field(ge=0.02, le=1.0, allow_inf_nan=False)] = 0.3
@@ -98,7 +105,7 @@ class LimitsSection(Section):
     max_turn_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = 0.30
     max_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = 0.1
     max_turn_speed_rad_s: Annotated[float, Field(gt=0.0, le=3.0, allow_inf_nan=False)] = 3.0
-    max_tilt_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = 0.05
+    max_tilt_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = TILT_RAD
     max_stiffness: SixPositive = (3000.0, 3000.0, 3000.0, 100.0, 100.0, 100.0)
     min_damping: SixPositive = (60.0, 60.0, 60.0, 0.1, 0.1, 0.1)
     min_inertia: SixPositive = (0.5, 0.5, 0.5, 0.01, 0.01, 0.005)

@@ -1,4 +1,4 @@
-"""What no configuration, recipe or policy may raise, and the default that cells and trainings share."""
+"""What no configuration, recipe or policy may raise, and the defaults that cells and trainings share."""
 
 from typing import Literal
 
@@ -9,6 +9,11 @@ TORQUE_HARD_MAXIMUM_NM = 10.0
 
 YAW_HALF_RANGE_RAD = 1.45
 """Default of how far from the start's yaw commands may turn; a cell may say otherwise: 83°, a hole needs 60°."""
+
+TILT_RAD = 0.05
+"""Default of how far the tool may lean from straight down before a cell stops."""
+TORQUE_CEILING_NM = 5.0
+"""Default of the resultant torque at the TCP, of any single sample, at which a cell stops."""
 
 LockMode = Literal["paper", "peck", "sliding", "off"]
 """How the depth may be limited; `service.safety.dsl` says what each one does."""

@@ -66,7 +66,7 @@ UR3E: tuple[Joint, ...] = (
 )
 """Base to flange."""
 
-PAYLOAD_KG = 3.0
+RATED_PAYLOAD_KG = 3.0
 JOINT_RANGE_RAD: Array = np.array([joint.range_rad for joint in UR3E])
 JOINT_SPEED_RAD_S: Array = np.array([joint.speed_rad_s for joint in UR3E])
 JOINT_TORQUE_NM: Array = np.array([joint.torque_nm for joint in UR3E])

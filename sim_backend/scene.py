@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from sim_backend.kinematics import GRAVITY_M_S2, UR3E
-from sim_backend.parts import HOLE_DEPTH_M, PARTS, Part, hole_walls, wall_centres
+from sim_backend.parts import HOLE_DEPTH_M, PARTS, PEG_HEIGHT_M, Part, hole_walls, wall_centres
 from sim_backend.protocol.wire import TICK_S
 
 GRIPPER_LENGTH_M = 0.150
@@ -24,7 +24,7 @@ GRIPPER_MASS_KG = 0.9
 GRIPPER_COM_M = 0.055
 PEG_MASS_KG = 0.03
 PAYLOAD_KG = GRIPPER_MASS_KG + PEG_MASS_KG
-PAYLOAD_COM_M = (GRIPPER_MASS_KG * GRIPPER_COM_M + PEG_MASS_KG * (TCP_OFFSET_M - 0.03)) / PAYLOAD_KG
+PAYLOAD_COM_M = (GRIPPER_MASS_KG * GRIPPER_COM_M + PEG_MASS_KG * (TCP_OFFSET_M - PEG_HEIGHT_M / 2)) / PAYLOAD_KG
 
 WALL_HALF_THICKNESS_M = 0.060
 WALL_HALF_LENGTH_M = 0.110
@@ -37,8 +37,8 @@ FINGER_STIFFNESS_NM = 12.0
 FINGER_DAMPING_NMS = 0.03
 
 JOINT_STIFFNESS_NM = (3500.0, 3500.0, 3500.0, 800.0, 800.0, 800.0)
-"""Stiffness of the joints' position loops with their transmissions; with the gripper's pads, about 1.7e4 N/m at the TCP
-vertically. An assumption: UR publishes none."""
+"""Stiffness of the joints' position loops with their transmissions, N·m/rad; about 1.7e4 N/m at the TCP vertically. An
+assumption: UR publishes none."""
 JOINT_ARMATURE_KGM2 = (0.12, 0.12, 0.12, 0.02, 0.02, 0.02)
 """Rotor inertia behind the gears. An assumption: UR publishes none."""
 JOINT_DAMPING_RATIO = 1.0
@@ -61,7 +61,6 @@ class Scene:
         peg_geom: the peg's collision geom.
         peg_body: body of the peg; its position holds the grasp offset.
         gripper_body: body that carries the sensor.
-        finger_dof: velocity index of the fingers' compliance.
     """
 
     model: mujoco.MjModel
@@ -71,7 +70,6 @@ class Scene:
     peg_geom: int
     peg_body: int
     gripper_body: int
-    finger_dof: int
 
 
 def build(part_name: str = "tr", clearance_m: float = 2.0e-3) -> Scene:
@@ -94,7 +92,6 @@ def build(part_name: str = "tr", clearance_m: float = 2.0e-3) -> Scene:
         peg_geom=model.geom("peg").id,
         peg_body=model.body("peg").id,
         gripper_body=model.body("gripper").id,
-        finger_dof=int(model.joint("finger").dofadr[0]),
     )
 
 

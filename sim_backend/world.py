@@ -45,8 +45,8 @@ class World:
 
     Attributes:
         joints: (n, 6) measured, rad.
-        position: (n, 3) measured TCP, base frame.
-        rotation: (n, 3, 3) measured orientation of the TCP.
+        position: (n, 3) measured TCP, base frame; of the tick before, as MuJoCo gives it.
+        rotation: (n, 3, 3) measured orientation of the TCP; likewise.
         sensor: what it reads; `sensor.wrench` (n, 6) is the compensated one.
         estimate: (n, 3) the camera's estimate of the hole's mouth.
         arm: the arm controllers.
@@ -204,7 +204,7 @@ class World:
         self.estimate = self.camera(self._all)
 
     def camera(self, cells: Cells) -> Array:
-        """(k, 3) the camera's present estimate of the hole's mouth; `estimate` holds it from the next tick on."""
+        """(k, 3) the camera's present estimate of the hole's mouth."""
         frame = (self.ticks[cells] // ESTIMATE_TICKS) % CAMERA_FRAMES
         return self._offset[cells] + self._jitter[cells, frame]
 
@@ -290,7 +290,7 @@ class World:
 
     @property
     def true_force(self) -> Array:
-        """(n,) resultant of the true contact force on the gripper and the peg, N, gravity and inertia included."""
+        """(n,) resultant of the true load on the flange, N: contact, weight and inertia."""
         return np.sqrt((self._load[:, :3] ** 2).sum(axis=1))
 
     def momentum(self, cell: int = 0) -> tuple[float, float, float]:

@@ -18,7 +18,7 @@ class TaskSource:
         part: peg and hole.
         clearance_m: range of clearances per face; the tight end is likelier (a uniform draw to the power 1.5).
         conditions: distributions of an episode.
-        randomise_plant: friction, stiffness, delay and mass vary.
+        randomise_plant: friction, stiffness, delay, mass and contact vary.
     """
 
     part: Part = "tr"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from service.hard_limits import YAW_HALF_RANGE_RAD
+from service.hard_limits import TILT_RAD, TORQUE_CEILING_NM, YAW_HALF_RANGE_RAD
 from service.policy.contract import PolicyContract
 from service.policy.observation import Measurement
 from service.safety import bounds, dsl
@@ -56,7 +56,7 @@ class Outcome:
         terminated: inserted, or stopped by a fault.
         truncated: the time is up.
         success: the peg is in: `SUCCESS_DEPTH_M` below the mouth with its axis inside the hole, at the end of the step.
-        fault: the force ceiling, or the arm's controller, stopped it.
+        fault: a ceiling of force or torque, the limit of the tilt, or the arm's controller stopped it.
         peak_force: largest resultant of the episode so far over every sample, N.
         depth: m.
         z_lock: m, NaN without a lock.
@@ -123,9 +123,10 @@ class Insertions:
         self._builder = contract.observation_builder()
         self._bounds = command_bounds(contract.ticks_per_step, self._limits)
         self._memory = self._builder.begin((n,))
-        self._lock_state = dsl.DslState.begin((n,))
+        self._lock_state = dsl.DslState.begin((n,), LIMITS.workspace[0][2])
         self._window = np.zeros((contract.ticks_per_step, n, 6))
         self._target_position, self._target_yaw = np.zeros((n, 3)), np.zeros(n)
+        self._tilt = np.zeros((n, 2))
         self._previous_action = np.zeros((n, 4))
         self._potential = np.zeros(n)
         self._nominal = np.broadcast_to(np.array(NOMINAL_HOLE_M), (n, 3))
@@ -162,7 +163,7 @@ class Insertions:
         mask[cells] = True
         self._memory = self._memory.reset(mask)
         self._lock_state = self._lock_state.reset(mask)
-        self._window[:, cells] = 0.0
+        self._window[:, cells] = 0.0  # a cell has felt noise by then; nothing here can feel while other cells stand
         self._previous_action[cells] = 0.0
         self._target_position[cells] = world.position[cells]
         self._target_yaw[cells] = pose.yaw_of(world.rotation[cells])
@@ -174,7 +175,7 @@ class Insertions:
         return self.observation
 
     def step(self, action: npt.ArrayLike) -> Outcome:
-        """One policy step of every cell; `action` (n, action size) in [-1, 1]. Finished cells must be reset before."""
+        """One policy step of every cell, also of those that have ended; `action` (n, action size) in [-1, 1]."""
         world, contract = self.world, self.contract
         self._slip_holes()
         action = np.asarray(action, np.float64)
@@ -190,6 +191,7 @@ class Insertions:
             yaw + locked.dyaw,
             self._target_position,
             self._target_yaw,
+            np.linalg.norm(self._tilt, axis=-1),
         )
         self._target_position, self._target_yaw = bounded.position, bounded.yaw
         turn = quaternion.from_rotvec(rotvec_from_yaw(bounded.yaw))
@@ -204,7 +206,8 @@ class Insertions:
         self._previous_action = self._actions.unit(action)
         self._memory, self.observation = self._builder.build(self._memory, self._measure())
 
-        fault = world.arm.program != Program.ENGAGED
+        torque = np.sqrt((self._window[..., 3:] ** 2).sum(-1)).max(0)
+        fault = (world.arm.program != Program.ENGAGED) | bounded.tilt | (torque >= TORQUE_CEILING_NM)
         depth = world.depth
         inside = world.contained & ~fault
         arrived = inside & (depth >= GOAL_DEPTH_M)
@@ -291,7 +294,7 @@ class Insertions:
 
     def _measure(self) -> Measurement:
         world = self.world
-        _, tilt = yaw_and_tilt(pose.rotvec_from_rotation(world.rotation))
+        _, self._tilt = yaw_and_tilt(pose.rotvec_from_rotation(world.rotation))
         window = self._window
         if self._misreads:
             window = window.copy()
@@ -299,7 +302,7 @@ class Insertions:
         return Measurement(
             position=world.position,
             yaw=np.asarray(pose.yaw_of(world.rotation)),
-            tilt=tilt,
+            tilt=self._tilt,
             wrench_window=window,
             hole_estimate=world.estimate,
             nominal_hole=self._nominal,
@@ -315,7 +318,7 @@ class Insertions:
 
 
 def command_bounds(ticks_per_step: int, limits: Limits) -> bounds.BoundsParameters:
-    """The service's command bounds, at the limits that the arm's own program has."""
+    """The service's command bounds, at the limits that the arm's own program has and a cell's defaults."""
     lower, upper = limits.workspace
     return bounds.BoundsParameters(
         period_s=ticks_per_step * TICK_S,
@@ -329,6 +332,7 @@ def command_bounds(ticks_per_step: int, limits: Limits) -> bounds.BoundsParamete
         workspace_upper=upper,
         yaw_centre_rad=START_YAW_RAD,
         yaw_half_range_rad=YAW_HALF_RANGE_RAD,
+        tilt_rad=TILT_RAD,
     )
 
 

@@ -172,7 +172,7 @@ class Policy:
                 )
 
     def _probe(self) -> None:
-        """Run once at rest and once at each entry's scale: what fails there would fail in motion."""
+        """Run at rest and at plus and minus each entry's scale: what fails there would fail in motion."""
         scales = [
             np.broadcast_to(np.asarray(entry.scale, np.float32), (entry.history, entry.size)).ravel()
             for entry in self.contract.observation

@@ -31,7 +31,7 @@ class Kind(IntEnum):
     STOP = 4
     """Decelerate, hold and disengage. Accepted from anyone, in any state."""
     ZERO_FT = 5
-    """Take the present raw wrench as the zero, as `zero_ftsensor()` does. Refused while engaged."""
+    """Take the wrench of the last moments as the zero, as `zero_ftsensor()` does. Refused while engaged."""
     UNLOCK = 6
     """Leave the protective stop: an operator's action."""
     CAMERA = 7
@@ -57,7 +57,7 @@ class StopReason(IntEnum):
     """A target outside the workspace, not finite, or further from the last one than the step limit."""
     JOINT_LIMIT = 5
     KINEMATICS = 6
-    """No inverse solution, or too close to a singularity."""
+    """Too close to a singularity, or a joint faster than it can turn."""
     PROTECTIVE_FORCE = 7
     """The arm's own protection: far more force than the ceiling, or a joint that cannot follow."""
     LEASE = 8

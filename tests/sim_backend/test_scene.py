@@ -76,7 +76,7 @@ def test_masses_and_centres_are_those_of_the_data_sheet(scenes):
     standing = model.body("block").mass[0]  # fixed to the world: its mass does nothing
     assert model.body_mass.sum() - standing == pytest.approx(arm + scene.PAYLOAD_KG, abs=1e-12)
     assert pytest.approx(0.93) == scene.PAYLOAD_KG
-    assert scene.PAYLOAD_KG < kinematics.PAYLOAD_KG
+    assert scene.PAYLOAD_KG < kinematics.RATED_PAYLOAD_KG
     q = np.array([0.3, -1.2, 0.9, -0.7, 1.1, 0.2])
     data.qpos[:] = [*q, 0.0]
     mujoco.mj_forward(model, data)

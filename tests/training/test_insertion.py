@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.config import LimitsSection
 from service.policy.observation import Measurement
 from service.safety import bounds, dsl
 from service.safety.pose import yaw_and_tilt
@@ -17,10 +18,11 @@ from sim_backend.protocol.task import Task
 from sim_backend.protocol.wire import Program
 from sim_backend.world import START_YAW_RAD
 from tests.training.play import facts, play_towards_hole, random_actions, unit
-from training import design
+from training import design, insertion
 from training.insertion import GOAL_DEPTH_M, LIMITS, SUCCESS_DEPTH_M, Insertions, command_bounds
 
 EVERYONE = np.arange(3)
+SETTING = {"TILT_RAD": "max_tilt_rad", "TORQUE_CEILING_NM": "torque_ceiling_nm"}
 TASKS = [Task(seed, "tr", 2e-3, "standard", True) for seed in (11, 12, 13)]
 
 
@@ -78,6 +80,19 @@ def test_time_alone_truncates() -> None:
     ends = [cells.step(np.zeros((1, 4))) for _ in range(3)]
     assert [bool(o.truncated[0]) for o in ends] == [False, False, True]
     assert not any(o.terminated[0] for o in ends)
+
+
+@pytest.mark.parametrize(("limit", "value"), [("TILT_RAD", 5e-3), ("TORQUE_CEILING_NM", 0.5)])
+def test_what_else_a_cell_stops_for_ends_an_episode_as_a_fault(
+    monkeypatch: pytest.MonkeyPatch, limit: str, value: float
+) -> None:
+    assert getattr(insertion, limit) == LimitsSection.model_fields[SETTING[limit]].default
+    assert play_towards_hole(begun(1, [Task(21, "tr", 2e-3)])).success[0]
+    monkeypatch.setattr(insertion, limit, value)
+    outcome = play_towards_hole(begun(1, [Task(21, "tr", 2e-3)]))
+    assert outcome.fault[0]
+    assert outcome.terminated[0]
+    assert not outcome.success[0]
 
 
 def test_the_force_ceiling_ends_an_episode_as_a_fault_and_never_as_a_success() -> None:
