@@ -30,8 +30,9 @@ HELD_MS = 1500
 _INK, _PAPER = (20, 22, 24), (255, 255, 255)
 _PAGE = """# Insertions
 
-One test episode per part, drawn from the simulated cell and shown in real time; policy: {policies}. The line below a
-frame tells the time, the depth of the peg's bottom below the hole's mouth and the largest force until then.
+One test episode per part, the insertion of median length among the test's first, drawn from the simulated cell and
+shown in real time; policy: {policies}. The line below a frame tells the time, the depth of the peg's bottom below the
+hole's mouth and the largest force until then.
 `dsl-assembly gallery MODEL` draws this page anew.
 
 | part | clearance per face | conditions, seed | inserted after | peak force | |
@@ -69,13 +70,13 @@ class Film:
     inserted_s: float | None
 
 
-def first_success(policy: Policy, part: Part, clearance_m: float, conditions: Conditions, seeds: int) -> Task | None:
-    """Return the first of `seeds` test episodes in which the policy inserts the peg; None: in none of them."""
+def typical_success(policy: Policy, part: Part, clearance_m: float, conditions: Conditions, seeds: int) -> Task | None:
+    """Return the insertion of median length among the first `seeds` test episodes; None: none of them inserts."""
     played = evaluate(policy, clearance_m, seeds, part=part, conditions=conditions, cells=seeds, threads=1)
-    for episode in played.episodes:
-        if episode.success:
-            return Task(episode.seed, part, clearance_m, conditions)
-    return None
+    inserted = sorted((episode.steps, episode.seed) for episode in played.episodes if episode.success)
+    if not inserted:
+        return None
+    return Task(inserted[len(inserted) // 2][1], part, clearance_m, conditions)
 
 
 def film(policy: Policy, task: Task, size: tuple[int, int] = FRAME_SIZE) -> Film:

@@ -31,7 +31,7 @@ def policy() -> Policy:
 
 @pytest.fixture(scope="module")
 def task(policy: Policy) -> Task:
-    task = gallery.first_success(policy, "tr", 3e-3, "easy", 5)
+    task = gallery.typical_success(policy, "tr", 3e-3, "easy", 5)
     assert task is not None
     return task
 
@@ -44,9 +44,13 @@ def film(policy: Policy, task: Task) -> gallery.Film:
         pytest.skip(str(error))
 
 
-def test_the_episode_shown_is_one_that_an_evaluation_counts_as_a_success(policy: Policy, task: Task) -> None:
-    (episode,) = evaluate(policy, 3e-3, 1, conditions="easy", first_seed=task.seed, cells=1, threads=1).episodes
-    assert episode.success
+def test_the_episode_shown_is_the_success_of_median_length_among_the_first_of_the_test(
+    policy: Policy, task: Task
+) -> None:
+    played = evaluate(policy, 3e-3, 5, conditions="easy", cells=5, threads=1).episodes
+    steps = {episode.seed: episode.steps for episode in played if episode.success}
+    assert sorted(steps.values())[len(steps) // 2] == steps[task.seed]
+    assert len(set(steps.values())) > 1  # else any would be
 
 
 def test_a_film_begins_in_the_air_and_goes_on_until_the_peg_is_seated(film: gallery.Film) -> None:

@@ -22,10 +22,10 @@ def gallery(
     conditions: Annotated[
         Conditions | None, typer.Option(help="Of an episode; default: `search` for FTM, else `standard`.")
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, max=500, help="Tried for an insertion to show.")] = 20,
+    seeds: Annotated[int, typer.Option(min=1, max=500, help="Test episodes that it is taken from.")] = 20,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = GALLERY,
 ) -> None:
-    """Draw the first test seed that succeeds: PART.gif, PART.png, and a page that shows them all."""
+    """Draw each part's insertion of median length: PART.gif, PART.png, and a page that shows them all."""
     try:
         from training import gallery as drawing
     except ImportError as error:
@@ -44,7 +44,7 @@ def gallery(
     try:
         with typer.progressbar(parts, label="drawing") as bar:
             for name in bar:
-                task = drawing.first_success(policy, name, 1e-3 * clearance, drawn, seeds)
+                task = drawing.typical_success(policy, name, 1e-3 * clearance, drawn, seeds)
                 if task is None:
                     typer.echo(f"\n{name}: none of {seeds} seeds succeeds, nothing is drawn", err=True)
                     continue
