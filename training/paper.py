@@ -108,13 +108,20 @@ class Table2(Section):
         results: name of our policy that was trained on the triangle alone, as the paper's.
         beside: names of others.
         conditions: of the transfer.
+        usual: conditions that the other parts than the triangle are also played in: shape apart from plant.
         cells: in the paper's order.
     """
 
     results: str
     beside: tuple[str, ...]
     conditions: Conditions
+    usual: Conditions
     cells: tuple[Cell, ...]
+
+    @property
+    def usual_cells(self) -> tuple[Cell, ...]:
+        """What is also played in the usual conditions: not the triangle, which `Strength` has at every level."""
+        return tuple(cell for cell in self.cells if cell.part != "tr")
 
 
 class Level(Section):
@@ -242,6 +249,9 @@ def reported(name: str, mode: Mode) -> list[tuple[Part, float, Conditions, dsl.M
     if name == strength.results:
         for part, level, _ in cells_of(Plan.STRENGTH, mode):
             found.append((part, level, strength.hardened, None))
+    if name in (transfer.results, *transfer.beside):
+        for cell in transfer.usual_cells:
+            found.append((cell.part, metres(cell.clearance_mm), transfer.usual, None))
     drawn = conditions_for(mode)
     for level in sorted({level for gap in everything.table_1.gaps for level in gap.clearance_mm}):
         if name in [row.reproduction(level) for row in rows]:

@@ -52,6 +52,9 @@ def test_what_is_reported_of_a_policy_is_what_the_tables_name_it_for() -> None:
     assert set(shipped) >= {(*cell, None) for plan in Plan for cell in paper.cells_of(plan, "VFTM")}
     assert ("tr", 1.33e-3, "standard", "off") in shipped
     assert ("tr", 0.33e-3, COMPARISON.strength.hardened, None) in shipped
+    for name in ("vftm-dsl", "vftm-dsl-shapes"):
+        played = {part for part, _, conditions, _ in paper.reported(name, "VFTM") if conditions == "standard"}
+        assert played == {"tr", "rtr", "trm", "cir", "b-rtr", "b-trm"}
     assert paper.reported("paper-vftm-c133", "VFTM") == [("tr", 1.33e-3, "standard", None)]
     assert paper.reported("paper-ftm-c400", "FTM") == [("tr", 4e-3, "search", None)]
     assert paper.reported("somebody-elses", "VFTM") == []

@@ -28,7 +28,7 @@ def reproduce(
     """Play all of the report's episodes again in the batched environment, and write the report of them.
 
     What was played is kept: the same command again goes on. The report's learning curves are the earlier ones. Fails if
-    a success rate lies outside the 95 % interval of the one that it is compared with.
+    a success rate lies outside the 95 % interval of the one that it is compared with, which is that of the same seeds.
     """
     try:
         from training.report import curves, writing
@@ -80,18 +80,19 @@ def settings_of(name: str, policy: Policy) -> list[Setting]:
 
 
 def compared(found: Results, earlier: Results | None, settings: list[Setting]) -> Iterator[str]:
-    """One line per setting: what was found, and whether it lies within the interval of what was found earlier."""
+    """One line per setting: what was found, and whether it lies within the interval of the same seeds' earlier rate."""
     if earlier is not None and earlier.sha256 != found.sha256:
         yield f"DIFFERENT  {found.policy}: the earlier results are of another file of that name"
     if earlier is not None and earlier.sources != found.sources:
         yield f"NOTE       {found.policy}: world, arm, lock or criterion have changed since the earlier results"
     for setting in settings:
         block = found.block(setting)
-        known = None if earlier is None else earlier.block(setting)
+        known = None if earlier is None else earlier.block(setting).first(len(block.episodes))
         told = f"{found.policy} {setting.part} {setting.clearance_m * 1e3:.2f} mm {setting.conditions} {setting.lock}"
         if known is None or not known.episodes:
             yield f"new        {told}: {block.rate:.1%}"
             continue
         low, high = known.interval
         verdict = "as before " if low <= block.rate <= high else "DIFFERENT "
-        yield f"{verdict} {told}: {block.rate:.1%}, before {known.rate:.1%} ({low:.1%} to {high:.1%})"
+        before = f"{known.rate:.1%} ({low:.1%} to {high:.1%}), n = {len(known.episodes)}"
+        yield f"{verdict} {told}: {block.rate:.1%}, before {before}"

@@ -33,13 +33,14 @@ _HOW: dict[Through, str] = {"environment": "", "zenoh": ", service over Zenoh", 
 def table_1(measured: Measured, comparison: Comparison) -> Iterator[Block]:
     """Table I: per gap, the paper, our runs of its experiment, and our one policy for every clearance."""
     yield Heading("Table I: what is observed, and the lock")
+    differing = _differing(measured, comparison)
     yield Paragraph(
-        "**Reproduced** is the paper's experiment run by us: its kinds of input, its lock, reward and steps, and a "
-        "network without memory, one policy per gap, trained and tested at that clearance; the entries of the "
-        "observation, the compliance law and the critic are ours. **One policy** is trained over a range of "
-        "clearances with memory and our reward. Returns are sums of equations 1 and 2, lengths in m, at a scale of 1; "
-        "the paper does not state its scale, so returns compare among ours only. Variances are over episodes. FTM "
-        "plays in the conditions `search`, the others in `standard`. " + _differing(measured, comparison)
+        "**Reproduced** is the paper's experiment run by us: its kinds of input, its lock, reward and 2 M steps (half "
+        "of them at 4 and 1 mm), and a network without memory, one policy per gap, trained and tested at that "
+        "clearance; the entries of the observation, the compliance law and the critic are ours. **One policy** is "
+        "trained over a range of clearances with memory and our reward. Returns are sums of equations 1 and 2, lengths "
+        "in m, at a scale of 1; the paper does not state its scale, so returns compare among ours only. Variances are "
+        "over episodes. FTM plays in the conditions `search`, the others in `standard`. " + differing
     )
     for index, gap in enumerate(comparison.table_1.gaps):
         real, simulated = gap.clearance_mm
@@ -278,6 +279,21 @@ def table_2(measured: Measured, comparison: Comparison) -> Iterator[Block]:
     if any(row.ours for row in compared):
         caption = "Success per cell with 95 % intervals; diamonds are the paper's, two where its table and text differ."
         yield Picture("table-2", plots.against_paper(compared), caption)
+    yield from _usual(measured, table)
+
+
+def _usual(measured: Measured, table: Table2) -> Iterator[Block]:
+    """The other parts without the other plant: what of Table II is the shape, and what is the plant."""
+    yield Heading(f"The other parts in the conditions `{table.usual}`", 3)
+    yield Paragraph("The same parts and clearances on the plant that the policies were trained on.")
+    names = [name for name in (table.results, *table.beside) if name in measured.results]
+    lines: list[list[str | Judged]] = []
+    for cell in table.usual_cells:
+        blocks = [measured.block(name, cell.clearance_mm, cell.part, conditions=table.usual) for name in names]
+        told = [text for block in blocks for text in (success(block), peaks(block))]
+        lines.append([f"**{cell.part}**, {cell.clearance_mm:.2f} mm", *told])
+    header = ["part, c", *(text for name in names for text in (f"`{name}`", "peak force, N"))]
+    yield Table(header, lines)
 
 
 def _cell_blocks(measured: Measured, table: Table2, cell: Cell) -> dict[str, Measurement | None]:

@@ -190,6 +190,14 @@ def test_table_2_takes_measurements_of_the_other_plant_only() -> None:
     assert "| 1 of 1 measured, 0 with the whole interval; n ≥ 50 |" in line_with(doubtful, "cells of Table II above")
 
 
+def test_beside_the_transfer_stands_the_same_part_on_the_plant_of_the_training() -> None:
+    cell = {"clearance_mm": 1.333333, "part": "cir"}
+    measured = Measured({"vftm-dsl": results(block(40, **cell), block(20, conditions="transfer", **cell))}, ())
+    text = told(measured)
+    assert "**80.0 %**" in line_with(text, "| **cir**, 1.33 mm |")
+    assert "**40.0 %**" in line_with(text, "13.76 %")
+
+
 @pytest.mark.parametrize(
     ("successes", "verdict"), [(50, "above"), (15, "above, interval overlaps"), (14, "below"), (0, "below")]
 )
