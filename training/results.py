@@ -215,8 +215,8 @@ class Block(Section):
             conditions=self.setting.conditions,
             episodes=len(self.episodes),
             successes=self.successes,
-            low=round(low, 4),
-            high=round(high, 4),
+            low=round(low, 6),
+            high=round(high, 6),
             peak_force_median_n=round(median, 2),
             peak_force_max_n=round(most, 2),
         )
