@@ -85,8 +85,17 @@ class LimitsSection(Section):
         max_tilt_rad: of the tool from straight down.
         max_stiffness: N/m and N·m/rad that the control program runs; a policy that wants more is refused.
         min_damping: N·s/m and N·m·s/rad; a policy that wants less is refused: with the sensor's delay it would swing.
-        min_inertia: kg and kg·m², likewise.
-        max_press_m: how far a policy's lock may press below the height of a contact.
+        max_damping: a policy that wants more is refused: the arm would hardly yield.
+        min_inertia: kg and kg·m², as for `min_damping`.
+        max_inertia: a policy that wants more is refused: an impact would be hard.
+        max_press_m: how far a policy's lock may press below the height of a contact; in `peck` also how much deeper the
+            next press may go.
+        max_contact_share: of the force ceiling, and of the torque ceiling, that `dsl.contact_threshold` of a policy's
+            clips may be: a lock must feel a contact long before the cell stops for it.
+        max_seek_step_m: increment downwards of a policy's lock while it seeks.
+        max_lift_m: how far above the first contact a policy's lock may rise.
+        max_search_depth_m: depth of one stretch of a policy's search for contact.
+        max_search_steps: length of one, policy steps.
         max_hole_offset_m: farthest that the camera's estimate of the hole may lie from the recipe's nominal one, per
             axis; beyond it the run fails before any motion.
         workspace_m: lower and upper corner of the box that the TCP stays in, base frame.
@@ -108,8 +117,15 @@ class LimitsSection(Section):
     max_tilt_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = TILT_RAD
     max_stiffness: SixPositive = (3000.0, 3000.0, 3000.0, 100.0, 100.0, 100.0)
     min_damping: SixPositive = (60.0, 60.0, 60.0, 0.1, 0.1, 0.1)
+    max_damping: SixPositive = (2000.0, 2000.0, 2000.0, 5.0, 5.0, 5.0)
     min_inertia: SixPositive = (0.5, 0.5, 0.5, 0.01, 0.01, 0.005)
+    max_inertia: SixPositive = (10.0, 10.0, 10.0, 0.2, 0.2, 0.2)
     max_press_m: Annotated[float, Field(gt=0.0, le=0.02, allow_inf_nan=False)] = 5e-3
+    max_contact_share: Annotated[float, Field(gt=0.0, le=1.0, allow_inf_nan=False)] = 1.0 / 3.0
+    max_seek_step_m: Annotated[float, Field(gt=0.0, le=0.02, allow_inf_nan=False)] = 5e-3
+    max_lift_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 0.01
+    max_search_depth_m: Annotated[float, Field(gt=0.0, le=0.2, allow_inf_nan=False)] = 0.1
+    max_search_steps: Annotated[int, Field(ge=1, le=2000)] = 200
     max_hole_offset_m: tuple[Positive, Positive, Positive] = (0.08, 0.06, 0.05)
     workspace_m: Box
     yaw_range_rad: Annotated[float, Field(gt=0.0, le=3.14159, allow_inf_nan=False)] = YAW_HALF_RANGE_RAD
@@ -324,11 +340,23 @@ class CellConfig(BaseSettings):
             raise ValueError("preflight.bias_force_n must be below preflight.contact_force_n")
         if self.limits.policy_deadline_s >= self.limits.target_age_s:
             raise ValueError("limits.policy_deadline_s must be below limits.target_age_s, or the arm stops first")
+        limits = self.limits
+        for name, least, most in (
+            ("damping", limits.min_damping, limits.max_damping),
+            ("inertia", limits.min_inertia, limits.max_inertia),
+        ):
+            if any(low > high for low, high in zip(least, most, strict=True)):
+                raise ValueError(f"limits.min_{name} must not be above limits.max_{name} on any axis")
         if self.cell.driver == "ur" and self.ur is None:
             raise ValueError(
                 "cell.driver is ur, so the section [ur] must say where the controller is and what it carries"
             )
         return self
+
+    @property
+    def sees_hole(self) -> bool:
+        """Whether something estimates the hole's position: the simulated cell's own camera or that of `[camera]`."""
+        return self.cell.driver == "zenoh_sim" or self.camera is not None
 
     @property
     def simulator_arguments(self) -> tuple[str, ...] | None:

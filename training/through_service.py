@@ -6,6 +6,7 @@ process never learns the truth. It is asked of the simulator, where the tool sta
 
 import asyncio
 import json
+import math
 import os
 import socket
 import subprocess
@@ -50,6 +51,18 @@ class ServiceError(RuntimeError):
     """The deployed service could not be started, or did not bring a run to its end; the text says what it said."""
 
 
+class LostRunError(ServiceError):
+    """A run that began and was never seen to end: a failure of its own.
+
+    Attributes:
+        episode: neither inserted nor claimed.
+    """
+
+    def __init__(self, episode: "ServiceEpisode") -> None:
+        super().__init__(f"the run of seed {episode.seed} was not seen to end; it counts as a failure")
+        self.episode = episode
+
+
 @dataclass(frozen=True, slots=True)
 class ServiceEpisode:
     """One run through the service.
@@ -58,7 +71,8 @@ class ServiceEpisode:
         seed: of the world.
         run: the service's own account.
         depth_m: true depth of the peg's bottom below the mouth when the run had ended.
-        inserted: whether the peg truly was in the hole then: `SUCCESS_DEPTH_M` deep, its axis inside.
+        inserted: whether the peg truly was in the hole then, `SUCCESS_DEPTH_M` deep, its axis inside, and no fault had
+            latched the cell.
     """
 
     seed: int
@@ -116,7 +130,7 @@ def play(
         service = processes.enter_context(_process(["service", "run", "--config", str(config)], logs[1]))
         try:
             return asyncio.run(_play(seeds, setting, cell_endpoint, sim_endpoint, on_episode))
-        except (CellError, TimeoutError) as error:
+        except (CellError, LostRunError, TimeoutError) as error:
             said = "\n".join(log.read_text()[-2000:] for log in logs)
             ended = sum(process.poll() is not None for process in (simulator, service))
             text = f"{error or 'nothing within its time'}; {ended} of 2 processes have ended; they said:\n{said}"
@@ -168,7 +182,11 @@ def _configuration(
 ) -> dict[str, dict[str, Any]]:
     """Sections of the cell's TOML; `ready` is what the simulator said when it came up."""
     over_rtde = setting.through == "rtde"
-    limits = {"force_ceiling_n": setting.force_ceiling_n, "workspace_m": LIMITS.workspace}
+    limits = {
+        "force_ceiling_n": setting.force_ceiling_n,
+        "workspace_m": LIMITS.workspace,
+        "max_contact_share": 1.0,  # a measurement, not a cell at work: as `allow_lock`
+    }
     sections: dict[str, dict[str, Any]] = {
         "cell": {
             "id": CELL,
@@ -218,7 +236,11 @@ async def _play(
         async with CellClient(CELL, [cell_endpoint]) as cell:
             played: list[ServiceEpisode] = []
             for seed in seeds:
-                played.append(await _play_one(seed, setting, cell, session))
+                try:
+                    played.append(await _play_one(seed, setting, cell, session))
+                except LostRunError as lost:
+                    on_episode(lost.episode)  # kept, or it would be played until it ends well
+                    raise
                 on_episode(played[-1])
             return played
     finally:
@@ -228,9 +250,14 @@ async def _play(
 async def _play_one(seed: int, setting: Setting, cell: CellClient, session: zenoh.Session) -> ServiceEpisode:
     await _await_ready(cell)
     started = await cell.start(StartRequest(recipe=RECIPE, seed=seed, requested_by="python -m training evaluate"))
-    async with asyncio.timeout(RUN_S):
-        while (run := await cell.run(started.run.id)).state is RunState.ACTIVE:
-            await asyncio.sleep(POLL_S)
+    run = started.run
+    try:
+        async with asyncio.timeout(RUN_S):
+            while (run := await cell.run(run.id)).state is RunState.ACTIVE:
+                await asyncio.sleep(POLL_S)
+    except (CellError, TimeoutError) as error:
+        interrupted = run.model_copy(update={"state": RunState.INTERRUPTED})
+        raise LostRunError(ServiceEpisode(seed, interrupted, math.nan, False)) from error
     answers = await query(session, keys.TRUTH.format(world=WORLD), b"", 5.0)
     if not answers:
         raise ServiceError("the simulator does not say what is true")
@@ -256,7 +283,8 @@ def judged(truth: dict[str, Any], seed: int, setting: Setting, run: Run) -> Serv
         told = ", ".join(f"{name} {played[name]!r} where {asked[name]!r} was asked for" for name in differing)
         raise ServiceError(f"the simulator played another task: {told}")
     depth = float(truth["depth"])
-    return ServiceEpisode(seed, run, depth, depth >= SUCCESS_DEPTH_M and bool(truth["contained"]))
+    inside = depth >= SUCCESS_DEPTH_M and bool(truth["contained"])
+    return ServiceEpisode(seed, run, depth, inside and run.state is not RunState.LATCHED)
 
 
 async def _await_ready(cell: CellClient) -> None:

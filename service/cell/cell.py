@@ -85,7 +85,7 @@ class Cell:
         self.unlinked = asyncio.Event()
         self.unlinked.set()
         self._inference_kind = inference or (InlineInference if driver.mode == "lockstep" else ThreadInference)
-        self._policies = PolicyShelf(config.recipes, driver.tick_s, config.limits)
+        self._policies = PolicyShelf(config.recipes, driver.tick_s, config.limits, camera=config.sees_hole)
         self._intake = Intake(config.limits, driver.clock)
         self._stop_parameters = StopParameters(deadline_s=config.limits.stop_confirm_s)
         self._states = StateMachine(CellState.OFFLINE if self.journal.latch is None else CellState.LATCHED)

@@ -228,10 +228,8 @@ class Insertion:
             if not self._estimates:
                 return "the policy goes by the camera's estimate of the hole, and there is none"
             self._hole = np.mean(self._estimates, axis=0)
-            offset = self._hole - plan.nominal_hole
-            if not (np.abs(offset) <= plan.max_hole_offset).all():
-                way = f"{np.round(offset * 1e3, 1).tolist()} mm from the recipe's hole"
-                return f"the camera has the hole {way}, limit {(plan.max_hole_offset * 1e3).tolist()} mm"
+            if (text := self._strays(self._hole)) is not None:
+                return text
         above = self._hole + np.array([0.0, 0.0, plan.hover_m])
         safe_z = max(sample.tcp_position[2], above[2]) + SAFE_RISE_M
         self._waypoints = [
@@ -244,6 +242,15 @@ class Insertion:
             if not ((point >= lower) & (point <= upper)).all():
                 return f"the way to the hole leads to {np.round(point, 4).tolist()} m, outside the workspace"
         return None
+
+    def _strays(self, estimate: FloatArray) -> str | None:
+        """Say why an estimate cannot be the recipe's hole; None: it may be."""
+        plan = self._plan
+        offset = estimate - plan.nominal_hole
+        if (np.abs(offset) <= plan.max_hole_offset).all():
+            return None
+        way = f"{np.round(offset * 1e3, 1).tolist()} mm from the recipe's hole"
+        return f"the camera has the hole {way}, limit {(plan.max_hole_offset * 1e3).tolist()} mm"
 
     def _await_engaged(self, sample: Sample) -> Iterator[Order]:
         if sample.program is Program.ENGAGED:
@@ -296,6 +303,11 @@ class Insertion:
         state = self._dsl_state
         yaw, tilt = yaw_and_tilt(sample.tcp_rotvec)
         estimate = sample.hole_estimate
+        # None is no fault: the tool may hide the hole, and the policy goes by the mean of what came before
+        if self._plan.uses_estimate and estimate is not None and (text := self._strays(estimate)) is not None:
+            self._stage = Stage.ENDED
+            yield Halt(FaultCode.BOUNDS, text)
+            return
         measurement = Measurement(
             position=sample.tcp_position,
             yaw=yaw,
@@ -336,6 +348,10 @@ class Insertion:
             plan.bounds, sample.tcp_position, yaw, locked.position, yaw + locked.dyaw,
             self._target, self._target_yaw, lean,
         )  # fmt: skip
+        if bool(bounded.invalid):
+            self._stage = Stage.ENDED
+            yield Halt(FaultCode.POLICY_INVALID, f"the action {action.tolist()} leads to no pose; nothing was sent")
+            return
         order = self._move(bounded.position, float(bounded.yaw))
         depth = self._depth(sample)
         self.last = TickRecord(

@@ -107,6 +107,33 @@ def test_a_file_that_is_not_there_or_not_toml_is_a_clear_error(tmp_path: Path, c
         load(path)
 
 
+@pytest.mark.parametrize(("name", "least"), [("damping", 6.0), ("inertia", 0.3)])
+def test_a_law_that_no_policy_could_have_is_refused(tmp_path: Path, name: str, least: float) -> None:
+    wrong = f"[limits]\nmin_{name} = [0.5, 0.5, 0.5, 0.1, 0.1, {least}]"
+    with pytest.raises(ConfigError, match=rf"limits\.min_{name} must not be above limits\.max_{name}"):
+        load(written(tmp_path, "[limits]", wrong))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("max_contact_share", 1.01),
+        ("max_contact_share", 0.0),
+        ("max_seek_step_m", 0.021),
+        ("max_lift_m", 0.051),
+        ("max_search_depth_m", 0.21),
+        ("max_search_steps", 2001),
+        ("max_damping", [-1.0] * 6),
+        ("max_inertia", ["inf"] * 6),
+    ],
+)
+def test_a_limit_of_locks_and_laws_out_of_range_is_refused_by_its_name(
+    tmp_path: Path, field: str, value: object
+) -> None:
+    with pytest.raises(ConfigError, match=rf"limits\.{field}"):
+        load(written(tmp_path, "[limits]", f"[limits]\n{field} = {value}".replace("'", "")))
+
+
 @pytest.mark.parametrize("name", ["a/b", "a*b", "", "a b", "../x"])
 def test_a_recipe_or_cell_whose_name_cannot_stand_in_a_key_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigError):

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from service.client import CellClient, CellError
 from service.messages import Run, RunState
 from service.policy.model import Policy
 from sim_backend.protocol.task import Task
@@ -56,12 +57,29 @@ def test_the_same_seeds_can_be_played_on_an_emulated_ur_controller(model_path: P
     check(through_service.play(model_path, SEEDS[:1], setting("rtde")), SEEDS[:1])
 
 
+@pytest.mark.timeout(300)
+def test_a_run_whose_service_dies_is_kept_as_a_failure_and_ends_the_measurement(
+    model_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def lost(client: CellClient, run: str) -> Run:
+        raise CellError(f"{run}: nobody answers")
+
+    monkeypatch.setattr(CellClient, "run", lost)
+    told: list[through_service.ServiceEpisode] = []
+    with pytest.raises(through_service.ServiceError, match=f"seed {SEEDS[0]} was not seen to end"):
+        through_service.play(model_path, SEEDS, setting("zenoh"), on_episode=told.append)
+    (episode,) = told
+    assert (episode.result.seed, episode.result.success, episode.result.claimed) == (SEEDS[0], False, False)
+
+
 def test_a_world_that_was_laid_out_for_something_else_is_not_judged() -> None:
     asked = setting("zenoh")
     run = Run.model_construct(state=RunState.SUCCEEDED)
     played = Task(7, asked.part, asked.clearance_m, asked.conditions).to_json()
     at_the_limit = {"task": played, "depth": SUCCESS_DEPTH_M, "contained": True}
     assert through_service.judged(at_the_limit, 7, asked, run).inserted
+    latched = Run.model_construct(state=RunState.LATCHED)
+    assert not through_service.judged(at_the_limit, 7, asked, latched).inserted
     for name, value in (("seed", 8), ("part", "cir"), ("clearance_m", 2e-3), ("conditions", "standard")):
         with pytest.raises(through_service.ServiceError, match=f"another task: {name} {value!r} where"):
             through_service.judged(at_the_limit | {"task": played | {name: value}}, 7, asked, run)

@@ -3,6 +3,7 @@
 import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from service.cell.inference import ThreadInference
 from service.faults import FaultCode
 from service.messages import CellState, RunState
 from service.policy.model import Policy
+from service.safety import dsl
 from service.safety.dsl import DslParameters
-from service.testing import cell_config, lockstep_cell
+from service.testing import RECIPE, cell_config, lockstep_cell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyCell
 from training.design import LAW
@@ -52,6 +54,38 @@ async def test_25_actions_times_100_are_clamped_then_latch_bounds(
             assert np.linalg.norm(record.target.position - previous) <= limits.max_step_m + 1e-12
             assert np.abs(record.displacement).max() < 0.2
             previous = record.target.position
+
+
+async def test_a_command_that_is_no_pose_is_a_fault_of_the_policy(
+    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        sent, whole = len(faulty.driver.said("target")), dsl.step
+
+        def nowhere(*given: Any) -> tuple[dsl.DslState, dsl.DslOutput]:
+            state, output = whole(*given)
+            return state, replace(output, position=output.position + 2e6)
+
+        monkeypatch.setattr(dsl, "step", nowhere)
+        await faulty.assert_latched(run, FaultCode.POLICY_INVALID)
+        assert len(faulty.driver.said("target")) == sent, "nothing of it was sent"
+
+
+async def test_an_estimate_that_strays_in_the_run_latches_and_one_that_stays_out_does_not(
+    faulty_cell: FaultyCell,
+) -> None:
+    async with faulty_cell() as faulty:
+        run = await faulty.running()
+        faulty.driver.spoil = lambda sample: [replace(sample, hole_estimate=None)]
+        before = len(faulty.bench.records)
+        await faulty.bench.until(lambda: len(faulty.bench.records) >= before + 3)
+        assert faulty.bench.cell.journal.latch is None
+        x, y, z = faulty.bench.cell.config.recipes[RECIPE].nominal_hole_m
+        faulty.driver.spoil = lambda sample: [replace(sample, hole_estimate=np.array([x, y + 0.061, z]))]
+        ended = await faulty.assert_latched(run, FaultCode.BOUNDS)
+
+        assert "61.0" in ended.text
 
 
 async def test_26_inference_that_hangs_policy_deadline_while_the_monitor_goes_on(

@@ -14,6 +14,8 @@ UR: dict[str, Any] = {
     "payload_com_m": (0.0, 0.0, scene.PAYLOAD_COM_M),
     "tcp_m": (0.0, 0.0, scene.TCP_OFFSET_M, 0.0, 0.0, 0.0),
 }
+CAMERA: dict[str, Any] = {"endpoint": "tcp/127.0.0.1:7448", "key": "under-test/camera"}
+"""Says that there is one; `emulated` hands the driver its own, and nobody opens this endpoint."""
 
 
 def ur_config(
@@ -28,4 +30,4 @@ def ur_config(
     config = cell_config(state_dir, policy, limits, **recipe)
     document = config.model_dump(exclude={"ur", "camera"})
     document["cell"]["driver"] = "ur"
-    return CellConfig.model_validate(document | {"ur": UR | (ur or {})})
+    return CellConfig.model_validate(document | {"ur": UR | (ur or {}), "camera": CAMERA})
