@@ -294,7 +294,7 @@ class ApiSection(Section):
 
 
 class ClientLossSection(Section):
-    """What a run does when the client that started it falls silent.
+    """What a run does when no client is heard any more, whoever started it.
 
     Attributes:
         policy: `continue` finishes the run, `stop` latches CLIENT_LOST.

@@ -255,6 +255,9 @@ async def _play_one(seed: int, setting: Setting, cell: CellClient, session: zeno
         async with asyncio.timeout(RUN_S):
             while (run := await cell.run(run.id)).state is RunState.ACTIVE:
                 await asyncio.sleep(POLL_S)
+            while (await cell.status()).state is CellState.STOPPING:  # what is felt until the arm stands counts
+                await asyncio.sleep(POLL_S)
+            run = await cell.run(run.id)
     except (CellError, TimeoutError) as error:
         interrupted = run.model_copy(update={"state": RunState.INTERRUPTED})
         raise LostRunError(ServiceEpisode(seed, interrupted, math.nan, False)) from error

@@ -1,5 +1,6 @@
 """Whether a start or a reset is accepted: pure decisions, each with what the asker should do about it."""
 
+import math
 from dataclasses import dataclass
 
 from service.cell import report
@@ -95,5 +96,9 @@ def why_not_reset(standing: Standing, request: ResetRequest, limits: LimitsSecti
         return standing.problem(Reason.WRONG_STATE, "the arm is moving")
     if standing.force_n >= standing.force_ceiling_n or sample.saturated:
         text = f"{standing.force_n:.1f} N are measured, the ceiling is {standing.force_ceiling_n:g} N: relieve the tool"
+        return standing.problem(Reason.FORCE_ABOVE_LIMIT, text)
+    torque_nm = math.hypot(*sample.wrench[3:])
+    if torque_nm >= limits.torque_ceiling_nm:
+        text = f"{torque_nm:.2f} N·m are measured, the ceiling is {limits.torque_ceiling_nm:g} N·m: relieve the tool"
         return standing.problem(Reason.FORCE_ABOVE_LIMIT, text)
     return None

@@ -210,7 +210,10 @@ class Cell:
             self._finish_run()
 
     def _finish_stop(self, stop: StopState | None) -> None:
-        latch = self.journal.latch
+        latch, peak_n = self.journal.latch, self._intake.peak_force_n
+        if latch is not None and latch.run_id is not None and peak_n > (latch.peak_force_n or 0.0):
+            latch = self.journal.set_latch(latch.code, latch.text, latch.run_id, peak_n)
+            self.runs.raise_peak(peak_n)
         if stop is StopState.UNCONFIRMED and latch is not None:
             code = FaultCode.STOP_UNCONFIRMED if self._intake.is_fresh else latch.code
             text = f"{UNCONFIRMED} Stopped for {latch.code}: {latch.text}"

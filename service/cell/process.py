@@ -2,10 +2,12 @@
 
 import asyncio
 import contextlib
+import fcntl
 import signal
 import time
-from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, Generator
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
 
 import structlog
 
@@ -36,12 +38,37 @@ async def standing(cell: Cell) -> AsyncGenerator[None]:
                 _log.error("standing task", error=repr(result))
 
 
+@contextmanager
+def alone(state_dir: Path) -> Generator[None]:
+    """Keep other control processes from a state directory while the context lasts, or this process.
+
+    A second one would take the first one's run for interrupted, and latch on the disk, before it found its endpoint
+    taken.
+
+    Raises:
+        OSError: another process has it, or it cannot be written.
+    """
+    state_dir.mkdir(parents=True, exist_ok=True)
+    with (state_dir / "lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            text = f"another control process uses {state_dir}: stop it, or give this cell a cell.state_dir of its own"
+            raise OSError(text) from None
+        yield
+
+
 async def run(config: CellConfig, driver: Driver) -> None:
     """Run until SIGTERM or SIGINT; the arm stands when this returns.
 
     Raises:
         OSError: the endpoint or the state directory cannot be used.
     """
+    with alone(config.cell.state_dir):
+        await _run(config, driver)
+
+
+async def _run(config: CellConfig, driver: Driver) -> None:
     loop = asyncio.get_running_loop()
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

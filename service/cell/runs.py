@@ -75,6 +75,13 @@ class Runs:
         self._journal.record(run)
         return run
 
+    def raise_peak(self, peak_force_n: float) -> None:
+        """Tell of the last run what was felt after its end, until the arm stood; never less than before."""
+        last = self._last
+        if last is not None and peak_force_n > (last.peak_force_n or 0.0):
+            self._last = run = last.model_copy(update={"peak_force_n": peak_force_n})
+            self._journal.record(run)
+
     def take_back(self) -> None:
         """Forget the run under way: it was not accepted after all."""
         if self.active is not None:

@@ -190,7 +190,7 @@ class SampleReader:
             tcp_rotvec=np.array(package.tcp_pose[3:]),
             tcp_velocity=np.array(package.tcp_speed),
             wrench=self.wrench(package),
-            saturated=any(abs(felt) >= end for felt, end in zip(package.ft_raw, self._ranges, strict=True)),
+            saturated=any(not abs(felt) < end for felt, end in zip(package.ft_raw, self._ranges, strict=True)),
             hole_estimate=hole_estimate,
             program=program,
             stop_reason=reason,

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from service.cell import process
 from service.cell.cell import Cell
-from service.cell.process import standing
+from service.cell.process import alone, standing
 from service.client import CellClient
 from service.drivers.base import Program
 from service.drivers.zenoh_sim import ZenohSimDriver
@@ -50,6 +51,16 @@ async def started(cell: Cell) -> str:
     await until(lambda: cell.state in (CellState.APPROACH, CellState.RUNNING, CellState.LATCHED))
     assert cell.journal.latch is None, cell.journal.latch
     return answer.run.id
+
+
+def test_a_second_control_process_on_a_state_directory_is_refused_before_it_touches_it(tmp_path: Path) -> None:
+    with alone(tmp_path / "state"):
+        config = cell_config(tmp_path / "state", policies.still(tmp_path))
+        with pytest.raises(OSError, match=r"another control process uses .*state: stop it, or give"):
+            asyncio.run(process.run(config, ZenohSimDriver("world-1", [free_endpoint()], "real_time")))
+        assert [path.name for path in (tmp_path / "state").iterdir()] == ["lock"]
+    with alone(tmp_path / "state"):
+        pass  # the lock ends with who had it
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=["19_sigkill", "20_sigstop"])

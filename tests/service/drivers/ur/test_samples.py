@@ -67,7 +67,12 @@ def test_a_torque_about_the_flange_is_moved_to_the_tcp(tcp) -> None:
 
 @pytest.mark.parametrize(
     ("raw", "saturated"),
-    [((29.9, 0, 0, 0, 0, 0), False), ((0, -30.0, 0, 0, 0, 0), True), ((0, 0, 0, 0, 0, 10.0), True)],
+    [
+        ((29.9, 0, 0, 0, 0, 0), False),
+        ((0, -30.0, 0, 0, 0, 0), True),
+        ((0, 0, 0, 0, 0, 10.0), True),
+        ((0, math.nan, 0, 0, 0, 0), True),
+    ],
 )
 def test_a_raw_channel_at_the_end_of_its_range_saturates(raw, saturated: bool) -> None:
     assert a_sample(ft_raw=raw).saturated is saturated
