@@ -19,8 +19,6 @@ SETTLE_S = 0.1
 ACCELERATION_M_S2 = 40.0
 """Of `speedl`; UR's own driver asks for as much. The law's own accelerations stay far below."""
 TURN_ACCELERATION_RAD_S2 = 200.0
-MAX_DAMPING = 1e5
-MAX_INERTIA = 1e4
 CRC_MASK = 0x7FFF_FFFF
 """The register that echoes the checksum is a signed integer."""
 
@@ -65,9 +63,9 @@ def render(config: CellConfig) -> ControlProgram:
         **{f"REASON_{reason.name}": str(int(reason)) for reason in StopReason},
         "MAX_STIFFNESS": _list(limits.max_stiffness),
         "MIN_DAMPING": _list(limits.min_damping),
-        "MAX_DAMPING": _number(MAX_DAMPING),
+        "MAX_DAMPING": _list(limits.max_damping),
         "MIN_INERTIA": _list(limits.min_inertia),
-        "MAX_INERTIA": _number(MAX_INERTIA),
+        "MAX_INERTIA": _list(limits.max_inertia),
         "MAX_SPEED": _number(limits.max_speed_m_s),
         "MAX_TURN_SPEED": _number(limits.max_turn_speed_rad_s),
         "MAX_STEP": _number(limits.max_step_m),

@@ -28,6 +28,8 @@ def test_every_name_of_the_template_is_filled_in_and_none_is_left_over() -> None
         ("limits", "max_turn_speed_rad_s", 1.5, "MAX_TURN_SPEED = 1.5"),
         ("limits", "max_stiffness", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), "MAX_STIFFNESS = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]"),
         ("limits", "min_damping", (1.0, 2.0, 3.0, 0.4, 0.5, 0.6), "MIN_DAMPING = [1.0, 2.0, 3.0, 0.4, 0.5, 0.6]"),
+        ("limits", "max_damping", (700.0,) * 3 + (1.0,) * 3, "MAX_DAMPING = [700.0, 700.0, 700.0, 1.0, 1.0, 1.0]"),
+        ("limits", "max_inertia", (3.0,) * 3 + (0.1,) * 3, "MAX_INERTIA = [3.0, 3.0, 3.0, 0.1, 0.1, 0.1]"),
         ("limits", "min_inertia", (1.0, 2.0, 3.0, 0.04, 0.05, 0.06), "MIN_INERTIA = [1.0, 2.0, 3.0, 0.04, 0.05, 0.06]"),
         ("limits", "workspace_m", ((0.2, -0.2, 0.02), (0.4, 0.0, 0.3)), "WORKSPACE_UPPER = [0.4, 0.0, 0.3]"),
         ("ur", "payload_kg", 1.75, "set_target_payload(1.75, "),
