@@ -11,7 +11,7 @@ PORT ?= 8000
 ONCE ?=
 SEED ?=
 MODEL ?= models/vftm-dsl.onnx
-EXPERIMENT ?= vftm-dsl-wide
+EXPERIMENT ?= vftm-dsl-fast
 BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.installed-runtime
 TRAINING := $(VENV)/.installed-training
@@ -87,7 +87,7 @@ docs-check: $(DEV) ## links between documents, and the documents that must exist
 # --- training and measurements --------------------------------------------------------------------------------------
 
 .PHONY: train evaluate reproduce report benchmark
-train: $(TRAINING) ## train an experiment, or go on with it: hours (EXPERIMENT=vftm-dsl-wide; ARGS=--help)
+train: $(TRAINING) ## train an experiment, or go on with it (EXPERIMENT=vftm-dsl-fast: ten minutes; ARGS=--help)
 	$(BIN)/dsl-assembly train $(EXPERIMENT) $(ARGS)
 
 evaluate: $(TRAINING) ## success over fresh seeds, with intervals (ARGS="MODEL --episodes 500 ..."; ARGS=--help)
