@@ -47,7 +47,7 @@ def reproduce(
                 found = measure(
                     model, policy, settings, results / name, episodes, workers or len(os.sched_getaffinity(0))
                 )
-            earlier = Results.load(against / name) if (against / name).exists() else None
+            earlier = Results.load(against / name).unbroken() if (against / name).exists() else None
         except (PolicyError, ResultsError) as error:
             refuse("reproduce", str(error))
         for line in compared(found, earlier, settings):

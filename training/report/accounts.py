@@ -38,10 +38,17 @@ class Experiment(Section):
 
 
 class Beginning(Section):
-    """The weights that a training began with: their file, and the experiment that they are of, where that is known."""
+    """The weights that a training began with.
+
+    Attributes:
+        file: that they were in.
+        experiment: that they are of, where that is known.
+        steps: of that training after which they were kept.
+    """
 
     file: str
     experiment: str | None = None
+    steps: int | None = None
 
 
 class Session(Section):
@@ -81,9 +88,12 @@ class Account(Section):
 
     @property
     def began_with(self) -> str | None:
-        """Experiment or file whose weights the training began with; None: with none."""
+        """Experiment or file whose weights the training began with, as Markdown; None: with none."""
         noted = self.sessions[0].began_with if self.sessions else None
-        return self.experiment.start_from if noted is None else noted.experiment or noted.file
+        if noted is None:
+            return f"`{self.experiment.start_from}`" if self.experiment.start_from else None
+        after = "" if noted.steps is None else f" at {noted.steps / 1e6:.2f} M steps"
+        return f"`{noted.experiment or noted.file}`{after}"
 
 
 def account(provenance: Mapping[str, JsonValue]) -> Account | None:
@@ -108,7 +118,7 @@ def told(provenance: Mapping[str, JsonValue]) -> Iterator[Block]:
 def _in_words(known: Account) -> Iterator[Block]:
     experiment, task = known.experiment, known.experiment.task
     low, high = task.clearance_mm
-    began = f", begun with weights of `{known.began_with}`" if known.began_with else ""
+    began = f", begun with weights of {known.began_with}" if known.began_with else ""
     spent = "" if known.elapsed_s is None else f" and {duration(known.elapsed_s)}"
     plant = "randomised" if task.randomise_plant else "nominal"
     yield Paragraph(

@@ -108,8 +108,11 @@ def deep_success(block: Block | None) -> str:
 
 
 def peaks(block: Block | None) -> str:
-    """Median, 99th percentile and maximum of the peak force."""
-    return "–" if block is None else " / ".join(f"{value:.1f}" for value in block.peaks)
+    """Median, 99th percentile and maximum of the peak force, of the episodes in which the policy had a step."""
+    played = () if block is None else tuple(episode for episode in block.episodes if episode.steps)
+    if block is None or not played:
+        return "–"
+    return " / ".join(f"{value:.1f}" for value in block.model_copy(update={"episodes": played}).peaks)
 
 
 def mean_steps(block: Block | None) -> str:

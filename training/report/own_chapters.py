@@ -93,14 +93,14 @@ def glance(measured: Measured, comparison: Comparison) -> Iterator[Block]:
     )
     yield Paragraph(
         "What this project's policies do in its simulated cell, beside what the paper reports. `dsl-assembly report` "
-        "writes this page from the folder `results/`: no figure in it is typed by hand."
+        "writes this page and its tables from the folder `results/`."
     )
     yield from policies.misnamed(measured)
     yield Heading("At a glance")
     yield Table(["", "wanted", "measured", "verdict"], lines)
 
 
-def conditions(measured: Measured, comparison: Comparison) -> Iterator[Block]:
+def conditions(measured: Measured) -> Iterator[Block]:
     """Under what everything here was measured."""
     yield Heading("Conditions")
     yield Paragraph(
@@ -286,7 +286,10 @@ def service(measured: Measured) -> Iterator[Block]:
     yield Paragraph(
         "The control process with its own configuration, watchdogs and criterion, as a process of its own, and the "
         "world in another one: the simulated arm over Zenoh, in lockstep, or an emulated UR controller over RTDE, in "
-        "real time. Success is the simulator's truth where the tool stood at the end. SHA-256 of the sources: "
+        "real time. Success is the simulator's truth where the tool stood at the end, and no fault stopped the run: a "
+        "peg that is in when the cell latches counts as a failure. The peak is the service's own, from the start on, "
+        "so the sensor's bias before it is zeroed is in it, as it is not in the environment's; runs that ended before "
+        "the policy's first step are left out of it. SHA-256 of the sources: "
         + "; ".join(
             f"`{name}` `{results.deployed_sources[:12]}`"
             for name, results in measured.results.items()

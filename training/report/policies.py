@@ -90,7 +90,7 @@ def _trained_row(results: Results) -> list[str]:
     return [
         f"`{known.experiment.name}`",
         str(known.seed),
-        f"`{known.began_with}`" if known.began_with else "nothing",
+        known.began_with or "nothing",
         _steps(known),
         "–" if known.elapsed_s is None else duration(known.elapsed_s),
         _clearances(known),
@@ -101,7 +101,7 @@ def _in_short(results: Results) -> str:
     known = accounts.account(results.provenance)
     if known is None:
         return "by hand" if "script" in results.provenance else "does not tell"
-    after = f" after `{known.began_with}`" if known.began_with else " from nothing"
+    after = f" after {known.began_with}" if known.began_with else " from nothing"
     return f"{_steps(known)} steps{after} at c = {_clearances(known)}"
 
 

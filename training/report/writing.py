@@ -19,7 +19,7 @@ def document(measured: Measured) -> Document:
         TITLE,
         [
             *own.glance(measured, comparison),
-            *own.conditions(measured, comparison),
+            *own.conditions(measured),
             *own.strength(measured, comparison),
             *others.table_1(measured, comparison),
             *others.learning_curves(measured, comparison),

@@ -219,7 +219,7 @@ def test_how_policies_were_trained_stands_beside_what_they_do() -> None:
     }
     text = told(Measured(found, ()))
     line_with(text, "| `vftm-dsl` | `vftm-dsl` | 3 | `wide` | 3.00 M | 60 min | 0.25 to 2 mm |")
-    line_with(text, "| `vftm-sliding` | `vftm-sliding` | 3 | `best.pt` | 0.50 M | 60 min | 1 mm |")
+    line_with(text, "| `vftm-sliding` | `vftm-sliding` | 3 | `best.pt` at 0.00 M steps | 0.50 M | 60 min | 1 mm |")
     line_with(text, "| `scripted-search` | by hand |")
     both = "`vftm-dsl` 3.00 M steps after `wide` at c = 0.25 to 2 mm; `vftm-sliding` 0.50 M steps after `best.pt`"
     assert sum(both in line for line in text.splitlines()) == 2  # Table I, and force
