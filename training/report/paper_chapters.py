@@ -35,13 +35,14 @@ def table_1(measured: Measured, comparison: Comparison) -> Iterator[Block]:
     yield Heading("Table I: what is observed, and the lock")
     differing = _differing(measured, comparison)
     yield Paragraph(
-        "**Reproduced** is the paper's experiment run by us: its kinds of input, its lock, its reward, 2 M steps (1 "
-        "M at c = 4.0 and 1.0 mm), and a network without memory, one policy per gap, trained and tested at that "
-        "clearance; the weights are those that did best in an evaluation, of one training each, and intervals are "
-        "over test episodes, not over trainings; the entries of the observation, the compliance law and the critic "
-        "are ours. **One policy** is trained over a range of clearances with memory and our reward. Returns are sums of "
-        "equations 1 and 2, lengths in m, at a scale of 1; the paper does not state its scale, so returns compare among ours only. Variances are "
-        "over episodes. FTM plays in the conditions `search`, the others in `standard`. " + differing
+        "**Reproduced** is the paper's experiment run by us: its kinds of input, its lock, its reward, 2 M steps (1 M "
+        "at c = 4.0 and 1.0 mm), and a network without memory, one policy per gap, trained and tested at that "
+        "clearance; the weights are those that did best in an evaluation, of one training each, and intervals are over"
+        " test episodes, not over trainings; the entries of the observation, the compliance law and the critic are "
+        "ours. **One policy** is trained over a range of clearances with memory and our reward. Returns are sums of "
+        "equations 1 and 2, lengths in m, at a scale of 1; the paper does not state its scale, so returns compare "
+        "among ours only. Variances are over episodes. FTM plays in the conditions `search`, the others in `standard`."
+        " " + differing
     )
     for index, gap in enumerate(comparison.table_1.gaps):
         real, simulated = gap.clearance_mm
