@@ -134,6 +134,16 @@ class Insertions:
     def action_size(self) -> int:
         return self._policy_step.actions.size
 
+    @property
+    def target_position(self) -> FloatArray:
+        """(n, 3) m, the command in force."""
+        return self._state.target_position
+
+    @property
+    def target_yaw(self) -> FloatArray:
+        """(n,) rad, the command in force."""
+        return self._state.target_yaw
+
     def reset(self, cells: CellIndices, tasks: Sequence[Task]) -> npt.NDArray[np.float32]:
         """Begin new episodes in `cells` (k,): the scripted approach has ended above where the hole is thought to be.
 
