@@ -1,6 +1,6 @@
 """How stable the force loop is: press on the block at the shortest and the longest sensor delay, with damping scaled.
 
-Not a timing: `python -m benchmarks.contact_loop` prints the figures of `docs/decisions/0004-admittance.md`.
+Not a timing: `python -m benchmarks.contact_loop` prints the figures of `docs/explanation/decisions/0004-admittance.md`.
 """
 
 import itertools

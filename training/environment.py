@@ -1,6 +1,6 @@
 """The insertions as Gymnasium sees them: `PegInHoleEnv` for one cell, `PegInHoleVectorEnv` for many.
 
-Both are thin: `training.insertion.Insertions` does all the work. `docs/training.md` is the user's page.
+Both are thin: `training.insertion.Insertions` does all the work. `docs/how-to/train-a-policy.md` is the user's page.
 """
 
 from collections.abc import Sequence
