@@ -8,8 +8,8 @@ from typing import Annotated, Any, Protocol, cast
 import typer
 from rich.console import Console
 
-from benchmarks import machine, report
-from benchmarks.result import Result, UnavailableError
+from benchmarks.harness import machine, report
+from benchmarks.harness.result import Result, UnavailableError
 
 BENCHMARKS = (
     *("tick", "stop_latency", "round_trip", "lockstep", "lateness", "throughput", "training_share", "peers"),
@@ -65,7 +65,7 @@ def run(
 def _measure(console: Console, name: str, scale: float, given: Mapping[str, Any]) -> tuple[Result, bool]:
     """Return the result and whether the benchmark ran without an error of its own."""
     try:
-        module = cast("Benchmark", importlib.import_module(f"benchmarks.{name}"))
+        module = cast("Benchmark", importlib.import_module(f"benchmarks.cases.{name}"))
         return module.measure(scale, **given), True
     except UnavailableError as error:
         return Result(question="", missing=str(error)), True

@@ -32,7 +32,7 @@ from service.messages import (
     StopRequest,
     Telemetry,
 )
-from service.transport import call_in_loop, close_session, open_session, query
+from wire.session import call_in_loop, close_session, open_session, query
 
 SILENCE_S = 0.5
 """Age of the last heartbeat at which a cell is called silent: ten heartbeats."""

@@ -12,7 +12,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
-from service.hard_limits import (
+from service.messages import NAME_PATTERN
+from wire.limits import (
     FORCE_HARD_MAXIMUM_N,
     TILT_RAD,
     TORQUE_CEILING_NM,
@@ -20,7 +21,6 @@ from service.hard_limits import (
     YAW_HALF_RANGE_RAD,
     LockMode,
 )
-from service.messages import NAME_PATTERN
 
 PATH_VARIABLE = "DSL_ASSEMBLY_CONFIG"
 DEFAULT_PATH = Path("config/cell.toml")

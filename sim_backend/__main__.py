@@ -16,18 +16,27 @@ from typing import Annotated, NoReturn, get_args
 _BACKEND = os.environ.pop("MUJOCO_GL", "egl")
 
 import typer
+import zenoh
 
-from sim_backend import appearance, rendering
-from sim_backend.cell import SimulatedCell
-from sim_backend.protocol.task import Part, Task
-from sim_backend.realtime import request_scheduling
-from sim_backend.server import Mode, Server
-from sim_backend.session import DEFAULT_ENDPOINT, DEFAULT_WORLD, EndpointError, check_host, open_session
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer, Ports
 from sim_backend.ur_controller.stage import Stage
-from sim_backend.world import World
+from sim_backend.world import appearance, rendering
+from sim_backend.world.world import World
+from sim_backend.zenoh_cell.cell import SimulatedCell
+from sim_backend.zenoh_cell.server import Mode, Server
+from wire.endpoints import (
+    DEFAULT_ENDPOINT,
+    DEFAULT_WORLD,
+    EndpointError,
+    EndpointInUseError,
+    check_endpoint,
+    check_host,
+)
+from wire.realtime import request_realtime
+from wire.session import open_session
+from wire.task import Part, Task
 
 EXIT_USAGE = 2
 """The request cannot be met as stated: a bad option, a port in use."""
@@ -58,9 +67,9 @@ def serve(
     try:
         task = Task.from_json({"seed": seed, "part": part})
         # before Zenoh starts its threads: one of ordinary priority that the loop waits for would hold the loop up
-        refused = request_scheduling() if mode is Mode.REAL_TIME else []
-        session = open_session(endpoints, connect or [], allow_remote=allow_remote)
-    except (EndpointError, ValueError) as error:
+        refused = request_realtime() if mode is Mode.REAL_TIME else ()
+        session = _open_session(endpoints, connect or [], allow_remote=allow_remote)
+    except ValueError as error:
         _fail(str(error), EXIT_USAGE)
     with session:
         cell = SimulatedCell(task.part)
@@ -98,10 +107,10 @@ def ur_controller(
         try:
             task = Task.from_json({"seed": seed, "part": part})
             check_host(host, allow_remote=allow_remote)
-            refused = request_scheduling()  # before Zenoh starts its threads, as in `serve`
+            refused = request_realtime()  # before Zenoh starts its threads, as in `serve`
             session = None
             if listen or connect:
-                session = stack.enter_context(open_session(listen or [], connect or [], allow_remote=allow_remote))
+                session = stack.enter_context(_open_session(listen or [], connect or [], allow_remote=allow_remote))
             plant = Plant(World(1, task.part))
             plant.lay_out(task)
             controller = Controller(plant)
@@ -155,6 +164,20 @@ def render(
     except (ValueError, OSError) as error:
         _fail(str(error), EXIT_USAGE)
     typer.echo(f"wrote {out} ({width}x{height}, {camera})")
+
+
+def _open_session(listen: list[str], connect: list[str], *, allow_remote: bool) -> zenoh.Session:
+    """Open a session whose endpoints stay on this machine unless allowed.
+
+    Raises:
+        EndpointError: an endpoint is refused, malformed or taken.
+    """
+    for endpoint in (*listen, *connect):
+        check_endpoint(endpoint, allow_remote=allow_remote)
+    try:
+        return open_session(listen, connect)
+    except EndpointInUseError as error:
+        raise EndpointError(f"{error}: choose another --listen") from error
 
 
 def _exit_on_signals() -> None:

@@ -13,7 +13,7 @@ from packaging.requirements import Requirement
 from service.faults import FaultCode
 
 ROOT = Path(__file__).resolve().parents[1]
-RUNTIME = ("service", "sim_backend", "api")
+RUNTIME = ("wire", "service", "sim_backend", "api")
 PACKAGES = (*RUNTIME, "training", "benchmarks")
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 RUNTIME_MODULES = [
@@ -52,7 +52,7 @@ def test_imports_run_in_the_declared_directions() -> None:
 
 
 def test_the_wire_schema_loads_without_mujoco_and_zenoh() -> None:
-    assert not loaded_by("sim_backend.protocol.wire", "sim_backend.protocol.keys", "sim_backend.protocol.task") & {
+    assert not loaded_by("wire.records", "wire.keys", "wire.task") & {
         "mujoco",
         "zenoh",
     }
@@ -77,7 +77,7 @@ def test_safety_imports_numpy_faults_and_arithmetic_only(module: Path) -> None:
         "numpy",
         "numpy.typing",
         "service.faults",
-        "service.hard_limits",
+        "wire.limits",
     }
     foreign = {name for name in imported(module) if name not in allowed and not name.startswith("service.safety")}
     assert not foreign
@@ -115,7 +115,7 @@ def test_nothing_of_ours_bears_the_name_of_a_certified_function() -> None:
     # What stands for the vendor's robot, and speaks of the stops that it has itself, keeps their names.
     robot = (
         "sim_backend/ur_controller/",
-        "sim_backend/protocol/primary",
+        "wire/primary",
         "service/drivers/ur/",
         "docs/how-to/commission-a-ur.md",
     )

@@ -8,11 +8,11 @@ from importlib.util import find_spec
 if find_spec("gymnasium") is not None:
     import gymnasium
 
-    from training.design import MAX_STEPS
+    from training.environment.design import MAX_STEPS
 
     gymnasium.register(
         "dsl_assembly/PegInHole-v0",
-        entry_point="training.environment:PegInHoleEnv",
-        vector_entry_point="training.environment:PegInHoleVectorEnv",
+        entry_point="training.environment.peg_in_hole:PegInHoleEnv",
+        vector_entry_point="training.environment.peg_in_hole:PegInHoleVectorEnv",
         max_episode_steps=MAX_STEPS,
     )

@@ -31,7 +31,7 @@ from service.messages import (
     StopRequest,
     Telemetry,
 )
-from service.transport import call_in_loop
+from wire.session import call_in_loop
 
 MAX_REQUEST_BYTES = 16_384
 MAX_OPEN_QUERIES = 64

@@ -5,12 +5,9 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
 from service.policy.model import Policy
+from wire.arrays import Float32Array
 
-Float32Array = npt.NDArray[np.float32]
 OnAction = Callable[[Float32Array], None]
 OnFailure = Callable[[Exception], None]
 

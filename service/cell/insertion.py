@@ -21,8 +21,7 @@ from service.policy.observation import Measurement
 from service.safety import bounds, dsl, preflight
 from service.safety.pose import rotvec_from_yaw, yaw_and_tilt
 from service.safety.stop import STANDSTILL_M_S
-
-FloatArray = npt.NDArray[np.float64]
+from wire.arrays import FloatArray
 
 ZEROING_TRIES = 12
 """Zeroing takes one noisy reading, so an unlucky one is repeated; contact is not."""

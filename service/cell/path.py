@@ -6,11 +6,9 @@ from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from service.drivers.base import Sample
-
-FloatArray = npt.NDArray[np.float64]
+from wire.arrays import FloatArray
 
 ARRIVAL_M = 5e-3
 """Distance of the measured TCP from the end that counts as there; a compliant arm on a biased sensor stands off."""

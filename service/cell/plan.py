@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from service.config import CellConfig, LimitsSection, RecipeSection
 from service.drivers.base import ComplianceLaw, Limits
@@ -14,8 +13,7 @@ from service.safety.bounds import BoundsParameters
 from service.safety.dsl import DslParameters
 from service.safety.monitor import MonitorParameters
 from service.safety.preflight import PreflightParameters
-
-FloatArray = npt.NDArray[np.float64]
+from wire.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

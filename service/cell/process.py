@@ -13,11 +13,11 @@ import structlog
 
 from service.cell.cell import Cell
 from service.cell.control_plane import ControlPlane
-from service.cell.realtime import request_realtime
 from service.cell.watch import keep_linked, keep_watch
 from service.config import CellConfig
 from service.drivers.base import Driver
-from service.transport import close_session, open_session
+from wire.realtime import freeze_garbage, request_realtime
+from wire.session import close_session, open_session
 
 _log = structlog.get_logger("service")
 
@@ -77,6 +77,7 @@ async def _run(config: CellConfig, driver: Driver) -> None:
     if driver.mode == "real_time":
         # before Zenoh starts its threads: one of ordinary priority that the loop waits for would hold the loop up
         cell.degradations = request_realtime()
+        freeze_garbage()
     for line in cell.degradations:
         _log.warning("degraded", what=line)
     try:

@@ -2,17 +2,12 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from service.drivers.base import ComplianceLaw, Limits, PoseTarget, Sample
 from service.faults import FaultCode
 from service.messages import CellState
 from service.safety.bounds import BoundedCommand
 from service.safety.dsl import DslOutput
-
-FloatArray = npt.NDArray[np.float64]
-Float32Array = npt.NDArray[np.float32]
+from wire.arrays import Float32Array, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,15 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
 from service.faults import FaultCode
-from sim_backend.protocol.rtde.modes import RobotMode as RobotMode
-from sim_backend.protocol.rtde.modes import SafetyMode as SafetyMode
-from sim_backend.protocol.wire import Program, StopReason
-
-Array = npt.NDArray[np.float64]
+from wire.arrays import FloatArray
+from wire.records import Program, StopReason
+from wire.rtde.modes import RobotMode as RobotMode
+from wire.rtde.modes import SafetyMode as SafetyMode
 
 
 class DriverError(Exception):
@@ -58,14 +54,14 @@ class Sample:
     seq: int
     time_s: float
     arrival_s: float
-    q: Array
-    qd: Array
-    tcp_position: Array
-    tcp_rotvec: Array
-    tcp_velocity: Array
-    wrench: Array
+    q: FloatArray
+    qd: FloatArray
+    tcp_position: FloatArray
+    tcp_rotvec: FloatArray
+    tcp_velocity: FloatArray
+    wrench: FloatArray
     saturated: bool
-    hole_estimate: Array | None
+    hole_estimate: FloatArray | None
     program: Program
     stop_reason: StopReason
     robot_mode: int
@@ -85,10 +81,10 @@ class ComplianceLaw:
         max_speed: (2,) of the reference, m/s and rad/s.
     """
 
-    stiffness: Array
-    damping: Array
-    inertia: Array
-    max_speed: Array
+    stiffness: FloatArray
+    damping: FloatArray
+    inertia: FloatArray
+    max_speed: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +98,8 @@ class Limits:
         target_age_s: without a new target for this long, it stops.
     """
 
-    max_step: Array
-    workspace: Array
+    max_step: FloatArray
+    workspace: FloatArray
     force_ceiling_n: float
     target_age_s: float
 
@@ -112,8 +108,8 @@ class Limits:
 class PoseTarget:
     """Where the TCP shall go: `position` (3,) m and `rotvec` (3,) rad, base frame."""
 
-    position: Array
-    rotvec: Array
+    position: FloatArray
+    rotvec: FloatArray
 
 
 @dataclass(frozen=True, slots=True)

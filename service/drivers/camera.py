@@ -10,9 +10,9 @@ import numpy as np
 import structlog
 import zenoh
 
-from service.drivers.base import Array
-from service.transport import close_session, open_session
-from sim_backend.protocol import wire
+from wire import records as wire
+from wire.arrays import FloatArray
+from wire.session import close_session, open_session
 
 _log = structlog.get_logger("service.drivers")
 
@@ -33,7 +33,7 @@ class Camera(Protocol):
         """
         ...
 
-    def estimate(self, now: float) -> Array | None:
+    def estimate(self, now: float) -> FloatArray | None:
         """(3,) centre of the hole's mouth, base frame, m; None without one that is fresh.
 
         Args:
@@ -66,7 +66,7 @@ class ZenohCamera:
         self._max_age_s = max_age_s
         self._clock = clock
         self._lock = threading.Lock()
-        self._newest: tuple[float, Array] | None = None
+        self._newest: tuple[float, FloatArray] | None = None
         self._episode = self._epoch = 0
         self._time_s = self._heard_s = self._rival_s = -math.inf
         self._told = False
@@ -81,7 +81,7 @@ class ZenohCamera:
             self._session = await asyncio.to_thread(open_session, connect=[self._endpoint])
             self._session.declare_subscriber(self._key, self._receive)
 
-    def estimate(self, now: float) -> Array | None:
+    def estimate(self, now: float) -> FloatArray | None:
         with self._lock:
             newest, rival_s = self._newest, self._rival_s
         if newest is None or now - rival_s <= self._max_age_s or now - newest[0] > self._max_age_s:

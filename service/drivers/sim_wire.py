@@ -1,20 +1,17 @@
 """Between the cell's terms and the simulated cell's wire: states into samples, orders into commands."""
 
 import secrets
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, Sample, Setup
 from service.faults import FaultCode
-from sim_backend.protocol import wire
-from sim_backend.protocol.task import Task
+from wire import records as wire
+from wire.arrays import RecordArray
+from wire.task import Task
 
-Record = npt.NDArray[Any]
 
-
-def read_sample(record: Record, arrival_s: float) -> Sample:
+def read_sample(record: RecordArray, arrival_s: float) -> Sample:
     """Turn one state into a sample that shares nothing with it.
 
     Args:
@@ -85,7 +82,7 @@ class CommandWriter:
         self._client = secrets.randbits(63)
         self._seq = 0
 
-    def engage(self, law: ComplianceLaw, limits: Limits) -> Record:
+    def engage(self, law: ComplianceLaw, limits: Limits) -> RecordArray:
         record = self._new(wire.Kind.ENGAGE)
         row = record[0]
         row["stiffness"], row["damping"], row["inertia"] = law.stiffness, law.damping, law.inertia
@@ -93,18 +90,18 @@ class CommandWriter:
         row["force_ceiling"], row["target_age"] = limits.force_ceiling_n, limits.target_age_s
         return record
 
-    def target(self, target: PoseTarget) -> Record:
+    def target(self, target: PoseTarget) -> RecordArray:
         record = self._new(wire.Kind.TARGET)
         record[0]["position"], record[0]["rotvec"] = target.position, target.rotvec
         return record
 
-    def stop(self) -> Record:
+    def stop(self) -> RecordArray:
         return self._new(wire.Kind.STOP)
 
-    def zero_ft(self) -> Record:
+    def zero_ft(self) -> RecordArray:
         return self._new(wire.Kind.ZERO_FT)
 
-    def unlock(self) -> Record:
+    def unlock(self) -> RecordArray:
         return self._new(wire.Kind.UNLOCK)
 
     @property
@@ -112,7 +109,7 @@ class CommandWriter:
         """Number of the last command written."""
         return self._seq
 
-    def _new(self, kind: wire.Kind) -> Record:
+    def _new(self, kind: wire.Kind) -> RecordArray:
         self._seq += 1
         record = wire.new(wire.COMMAND, kind)
         row = record[0]

@@ -11,8 +11,9 @@ import zenoh
 from service.drivers.base import DriverError, Setup
 from service.drivers.sim_wire import task_of
 from service.faults import FaultCode
-from service.transport import QueryRefusedError, close_session, open_session, query
-from sim_backend.protocol import keys, wire
+from wire import keys
+from wire import records as wire
+from wire.session import QueryRefusedError, close_session, open_session, query
 
 LAY_OUT_S = 30.0
 """Host time for a simulator to lay out, and perhaps to compile, a world."""

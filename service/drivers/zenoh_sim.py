@@ -1,4 +1,4 @@
-"""The driver of a simulated cell over Zenoh, in real time or in lockstep. Keys and records: `sim_backend/protocol`."""
+"""The driver of a simulated cell over Zenoh, in real time or in lockstep. Keys and records: `wire`."""
 
 import asyncio
 import json
@@ -13,8 +13,9 @@ from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget,
 from service.drivers.handover import Handover
 from service.drivers.sim_wire import CommandWriter, read_sample, task_of
 from service.faults import FaultCode
-from service.transport import QueryRefusedError, call_in_loop, close_session, open_session, query
-from sim_backend.protocol import keys, wire
+from wire import keys
+from wire import records as wire
+from wire.session import QueryRefusedError, call_in_loop, close_session, open_session, query
 
 Mode = Literal["real_time", "lockstep"]
 

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from service.safety.pose import rotate
+from wire.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 COMPONENTS = ("dx", "dy", "dz", "dyaw")
 """The displacement's components, in the order of its array."""
 

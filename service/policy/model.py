@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import onnxruntime
 
 from service.policy import onnx_file
 from service.policy.contract import METADATA_KEY, ContractError, PolicyContract
+from wire.arrays import Float32Array
 
-Float32Array = npt.NDArray[np.float32]
 SIZE_LIMIT_BYTES = 16 * 2**20
 OPSETS = range(11, 24)
 """Versions of the standard operator set that are admitted."""

@@ -14,10 +14,8 @@ import numpy.typing as npt
 
 from service.policy.window import WrenchSummary, summarise
 from service.safety.pose import rotate, wrap
+from wire.arrays import Float32Array, FloatArray, IntArray
 
-FloatArray = npt.NDArray[np.float64]
-Float32Array = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int32]
 Mode = Literal["VFTM", "FTM", "VM"]
 Frame = Literal["tool", "base", "none"]
 

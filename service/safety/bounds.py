@@ -14,9 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from service.safety.pose import wrap
+from wire.arrays import BoolArray, FloatArray
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 Corner = tuple[float, float, float]
 
 

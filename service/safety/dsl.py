@@ -17,11 +17,9 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from service.hard_limits import LockMode
+from wire.arrays import BoolArray, FloatArray, IntArray
+from wire.limits import LockMode
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int32]
-BoolArray = npt.NDArray[np.bool_]
 Mode = LockMode
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from service.faults import FaultCode
-from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 from service.safety.verdict import IGNORED, PASSED, Verdict
+from wire.limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 
 PLAUSIBLE = 1e6
 """N, N·m, m, rad and their rates: no cell measures more, and what is more overflows where it is squared."""

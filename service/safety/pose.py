@@ -6,7 +6,7 @@
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from wire.arrays import FloatArray
 
 
 def wrap(angle: npt.ArrayLike) -> FloatArray:

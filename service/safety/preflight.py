@@ -8,8 +8,7 @@ import numpy.typing as npt
 
 from service.faults import FaultCode
 from service.safety.verdict import PASSED, Verdict
-
-FloatArray = npt.NDArray[np.float64]
+from wire.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

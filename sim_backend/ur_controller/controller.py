@@ -10,9 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from sim_backend.arm import PROTECTIVE_ERROR_RAD, PROTECTIVE_FORCE_N
-from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState, SafetyMode
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.builtins import standard_table
 from sim_backend.ur_controller.builtins.sockets import Sockets
 from sim_backend.ur_controller.events import (
@@ -33,6 +30,9 @@ from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.safety import UNLOCK_TOO_EARLY, Durations, Safety
 from sim_backend.ur_controller.script import Builtin, CompileError, Execution, compile_source
 from sim_backend.ur_controller.terminals import Terminals
+from sim_backend.world.arm import PROTECTIVE_ERROR_RAD, PROTECTIVE_FORCE_N
+from wire.records import TICK_S
+from wire.rtde.modes import RobotMode, RuntimeState, SafetyMode
 
 START_TICK = 30_000
 """Ticks that the controller says to have run when it is made: clients wait for a timestamp of 40 s."""

@@ -8,10 +8,10 @@ import math
 from collections import deque
 from collections.abc import Callable
 
-from sim_backend.protocol.rtde.modes import RuntimeState
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Event, ProgramStopped, Refused
 from sim_backend.ur_controller.listener import Connection
+from wire.rtde.modes import RuntimeState
 
 BANNER = "Connected: Universal Robots Dashboard Server"
 NOT_REMOTE = (

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from sim_backend.protocol.rtde.modes import SafetyMode
+from wire.rtde.modes import SafetyMode
 
 
 class Refused(Exception):  # noqa: N818 (the command is at fault, not the controller)

@@ -9,11 +9,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from sim_backend.kinematics import UR3E
+from sim_backend.world.kinematics import UR3E
+from wire.arrays import FloatArray
 
-Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 Rotation = tuple[float, float, float, float, float, float, float, float, float]
 
@@ -153,7 +152,7 @@ def flange_of(q: Sequence[float]) -> tuple[Vector, Rotation]:
     return position, rotation
 
 
-def jacobian_of(q: Sequence[float], point: Sequence[float]) -> Array:
+def jacobian_of(q: Sequence[float], point: Sequence[float]) -> FloatArray:
     """Geometric Jacobian (6, 6) at `point` (3,), base frame: linear velocity, then angular: `kinematics.jacobian`.
 
     The point is given in the base frame and moves with the flange.

@@ -5,8 +5,8 @@ closed; the fingers end at 3 and 230, 85 mm and 0 mm apart. The world's peg is f
 fingers do: they are modelled in time and report what they meet, and that is all.
 """
 
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.listener import Connection
+from wire.records import TICK_S
 
 STROKE_MM = 85.0
 POS_OPEN, POS_CLOSED = 3, 230

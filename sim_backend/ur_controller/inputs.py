@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
-from sim_backend.protocol.rtde.fields import BIT_REGISTERS, DOUBLE_REGISTERS, INPUTS, INT_REGISTERS
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.terminals import TerminalInputs, Terminals
+from wire.records import TICK_S
+from wire.rtde.fields import BIT_REGISTERS, DOUBLE_REGISTERS, INPUTS, INT_REGISTERS
 
 LATE_PACKAGES = 1024
 """More input packages than this wait for their latency to pass only if a client floods; the oldest apply early."""

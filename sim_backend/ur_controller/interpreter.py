@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 
-from sim_backend.protocol.rtde.modes import RuntimeState
 from sim_backend.ur_controller.events import Event, ProgramStarted, ProgramStopped, Refused, RuntimeFailed
 from sim_backend.ur_controller.motion import Motion
 from sim_backend.ur_controller.script import Compiled, Execution, State
+from wire.rtde.modes import RuntimeState
 
 MOST_SECONDARIES = 16
 """Secondary programs at a time; more are refused."""

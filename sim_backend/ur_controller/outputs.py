@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from sim_backend.arm import PROTECTIVE_ERROR_RAD, PROTECTIVE_FORCE_N
-from sim_backend.kinematics import UR3E
-from sim_backend.protocol.rtde.fields import BIT_REGISTERS, DOUBLE_REGISTERS, INT_REGISTERS
-from sim_backend.protocol.rtde.modes import RobotMode
 from sim_backend.ur_controller.geometry import jacobian_of
 from sim_backend.ur_controller.inputs import Registers
 from sim_backend.ur_controller.terminals import CONFIGURABLE
+from sim_backend.world.arm import PROTECTIVE_ERROR_RAD, PROTECTIVE_FORCE_N
+from sim_backend.world.kinematics import UR3E
+from wire.rtde.fields import BIT_REGISTERS, DOUBLE_REGISTERS, INT_REGISTERS
+from wire.rtde.modes import RobotMode
 
 if TYPE_CHECKING:
     from sim_backend.ur_controller.controller import Controller

@@ -5,14 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from sim_backend import kinematics, scene
-from sim_backend.arm import KINEMATICS_TICKS
-from sim_backend.kinematics import UR3E
-from sim_backend.protocol.task import Part, Task
-from sim_backend.protocol.wire import TICK_S
-from sim_backend.servo import JointServo, gains
 from sim_backend.ur_controller.geometry import (
     Rotation,
     Vector,
@@ -25,9 +18,14 @@ from sim_backend.ur_controller.geometry import (
     rotvec_of,
     transpose,
 )
-from sim_backend.world import World
-
-Array = npt.NDArray[np.float64]
+from sim_backend.world import kinematics, scene
+from sim_backend.world.arm import KINEMATICS_TICKS
+from sim_backend.world.kinematics import UR3E
+from sim_backend.world.servo import JointServo, gains
+from sim_backend.world.world import World
+from wire.arrays import FloatArray
+from wire.records import TICK_S
+from wire.task import Part, Task
 
 _ONLY = np.array([0])
 
@@ -80,7 +78,7 @@ class Plant:
         self._task = Task(0, world.part)
         self._settle()
 
-    def drive(self, q_target: Array, qd_target: Array) -> None:
+    def drive(self, q_target: FloatArray, qd_target: FloatArray) -> None:
         """Simulate one tick of 2 ms.
 
         Args:
@@ -179,12 +177,12 @@ class Plant:
         turned = cross(lever, force)
         return [*force, moment[0] + turned[0], moment[1] + turned[1], moment[2] + turned[2]]
 
-    def joint_torques(self) -> Array:
+    def joint_torques(self) -> FloatArray:
         """(6,) torque of the joint servos, N·m, without the weight of the links."""
         torque = self._stiffness * (self.set_points - self.q) - self._damping * self.qd
         return np.minimum(np.maximum(torque, -kinematics.JOINT_TORQUE_NM), kinematics.JOINT_TORQUE_NM)
 
-    def payload_torques(self) -> Array:
+    def payload_torques(self) -> FloatArray:
         """(6,) of `joint_torques` what carries the configured payload at rest, N·m."""
         lift = kinematics.jacobian(self.q, np.array(self.payload_cog))[2]
         return self.payload_kg * kinematics.GRAVITY_M_S2 * lift
@@ -217,14 +215,14 @@ class Plant:
         """Pose of the configured TCP at joint angles (6,)."""
         return self._tcp(*flange_of(q))
 
-    def jacobian_of(self, q: Sequence[float]) -> Array:
+    def jacobian_of(self, q: Sequence[float]) -> FloatArray:
         """Geometric Jacobian (6, 6) of the configured TCP at joint angles (6,), base axes, linear rows first."""
         position, rotation = flange_of(q)
         x, y, z = rotate(rotation, self.tcp_offset[:3])
         return jacobian_of(q, (position[0] + x, position[1] + y, position[2] + z))
 
     @property
-    def estimate(self) -> Array:
+    def estimate(self) -> FloatArray:
         """(3,) the camera's estimate of the hole's mouth, m."""
         return self.world.estimate[0]
 

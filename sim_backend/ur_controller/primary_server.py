@@ -9,18 +9,18 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal
 
-from sim_backend.kinematics import UR3E
-from sim_backend.protocol.primary import messages, realtime, state
-from sim_backend.protocol.primary.messages import ErrorCode, Message, ReportLevel, Source
-from sim_backend.protocol.primary.packages import STATE_HZ, PackageType, frame
-from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState, SafetyMode
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller import events
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Event, Refused
 from sim_backend.ur_controller.listener import Connection
 from sim_backend.ur_controller.program_reader import ProgramReader, ProgramTooLongError
 from sim_backend.ur_controller.safety import ASKED_BY_PROGRAM, EMERGENCIES
+from sim_backend.world.kinematics import UR3E
+from wire.primary import messages, realtime, state
+from wire.primary.messages import ErrorCode, Message, ReportLevel, Source
+from wire.primary.packages import STATE_HZ, PackageType, frame
+from wire.records import TICK_S
+from wire.rtde.modes import RobotMode, RuntimeState, SafetyMode
 
 Kind = Literal["primary", "secondary", "realtime"]
 

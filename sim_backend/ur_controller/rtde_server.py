@@ -7,10 +7,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from sim_backend.protocol.rtde.codec import REQUEST_LIMIT, FrameReader, PackageType, Recipe, Value
-from sim_backend.protocol.rtde.errors import FramingError, PackageError, Reason
-from sim_backend.protocol.rtde.fields import INPUTS, OUTPUTS, SINCE, FieldType
-from sim_backend.protocol.rtde.messages import (
+from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.events import CompileFailed, Event, RuntimeFailed
+from sim_backend.ur_controller.listener import Connection
+from wire.rtde.codec import REQUEST_LIMIT, FrameReader, PackageType, Recipe, Value
+from wire.rtde.errors import FramingError, PackageError, Reason
+from wire.rtde.fields import INPUTS, OUTPUTS, SINCE, FieldType
+from wire.rtde.messages import (
     PROTOCOL_VERSION,
     ControllerVersion,
     InputsRequest,
@@ -21,9 +24,6 @@ from sim_backend.protocol.rtde.messages import (
     decode_version_request,
     encode_accepted,
 )
-from sim_backend.ur_controller.controller import Controller
-from sim_backend.ur_controller.events import CompileFailed, Event, RuntimeFailed
-from sim_backend.ur_controller.listener import Connection
 
 TICK_RATE_HZ = 500
 MAX_INPUT_RECIPES = 255

@@ -6,8 +6,8 @@ The emulation of a robot's safety functions is a model of how they look on the n
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim_backend.protocol.rtde.modes import RobotMode, SafetyMode
-from sim_backend.protocol.wire import TICK_S
+from wire.records import TICK_S
+from wire.rtde.modes import RobotMode, SafetyMode
 
 UNLOCK_AFTER_S = 5.0
 """A protective stop is not unlocked earlier than this."""

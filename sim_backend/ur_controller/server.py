@@ -3,16 +3,17 @@
 from dataclasses import dataclass, fields
 from typing import Protocol
 
-from sim_backend.protocol.primary import packages, realtime
-from sim_backend.protocol.rtde import messages
-from sim_backend.protocol.wire import TICK_S
-from sim_backend.realtime import Metronome, freeze_garbage, has_realtime_scheduling
+from sim_backend.metronome import Metronome
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.dashboard_server import DashboardService
 from sim_backend.ur_controller.gripper_server import Gripper, GripperService
 from sim_backend.ur_controller.listener import Listener, Service
 from sim_backend.ur_controller.primary_server import PrimaryService
 from sim_backend.ur_controller.rtde_server import RtdeService
+from wire.primary import packages, realtime
+from wire.realtime import freeze_garbage, has_realtime_scheduling
+from wire.records import TICK_S
+from wire.rtde import messages
 
 
 @dataclass(frozen=True, slots=True)

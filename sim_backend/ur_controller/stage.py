@@ -5,18 +5,19 @@ The arm itself speaks UR's protocols only. Keys and records stand in `docs/refer
 
 import json
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 
 import zenoh
 
-from sim_backend import answers
-from sim_backend.protocol import keys, wire
-from sim_backend.server import asked, query_keys
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Refused
 from sim_backend.ur_controller.server import ControllerServer
-from sim_backend.world import ESTIMATE_TICKS
+from sim_backend.world.world import ESTIMATE_TICKS
+from sim_backend.zenoh_cell import answers
+from sim_backend.zenoh_cell.server import asked, query_keys
+from wire import keys
+from wire import records as wire
 
 _QUERIES = {"reset": keys.RESET, "truth": keys.TRUTH, "info": keys.INFO, "panel": keys.PANEL}
 _QUERY_CAPACITY = 64
@@ -87,7 +88,7 @@ class Stage:
         server: ControllerServer,
         session: zenoh.Session,
         world: str,
-        degraded: list[str] | None = None,
+        degraded: Sequence[str] = (),
     ) -> None:
         """Declare the keys.
 
@@ -104,7 +105,7 @@ class Stage:
         self.epoch = secrets.randbits(63)
         self._controller = controller
         self._server = server
-        self._degraded = degraded or []
+        self._degraded = list(degraded)
         self._episode = 0
         self._ticks = 0
         self._keys = query_keys(world, _QUERIES)

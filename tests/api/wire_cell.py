@@ -42,7 +42,7 @@ from service.messages import (
     StatusResult,
     Telemetry,
 )
-from service.transport import close_session, open_session
+from wire.session import close_session, open_session
 
 CELL = "cell-test"
 RECIPE = "tr-2mm"

@@ -5,9 +5,9 @@ import contextlib
 import atheris
 from fuzzing import fuzz
 
-with atheris.instrument_imports(include=["sim_backend.protocol.primary"]):
-    from sim_backend.protocol.primary import messages, packages, state
-    from sim_backend.protocol.primary.errors import PrimaryError
+with atheris.instrument_imports(include=["wire.primary"]):
+    from wire.primary import messages, packages, state
+    from wire.primary.errors import PrimaryError
 
 KINDS = (packages.PackageType.ROBOT_STATE, packages.PackageType.ROBOT_MESSAGE)
 

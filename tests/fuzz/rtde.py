@@ -6,11 +6,11 @@ import itertools
 import atheris
 from fuzzing import fuzz
 
-with atheris.instrument_imports(include=["sim_backend.protocol.rtde"]):
-    from sim_backend.protocol.rtde.codec import HEADER_SIZE, FrameReader, PackageType, Recipe, frame
-    from sim_backend.protocol.rtde.errors import FramingError, PackageError, RtdeError
-    from sim_backend.protocol.rtde.fields import FieldType
-    from sim_backend.protocol.rtde.messages import (
+with atheris.instrument_imports(include=["wire.rtde"]):
+    from wire.rtde.codec import HEADER_SIZE, FrameReader, PackageType, Recipe, frame
+    from wire.rtde.errors import FramingError, PackageError, RtdeError
+    from wire.rtde.fields import FieldType
+    from wire.rtde.messages import (
         ControllerVersion,
         InputsRequest,
         OutputsRequest,

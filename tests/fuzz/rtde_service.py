@@ -8,13 +8,13 @@ from fuzzing import fuzz
 
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.plant import Plant
-from sim_backend.world import World
+from sim_backend.world.world import World
 
-with atheris.instrument_imports(include=["sim_backend.protocol.rtde", "sim_backend.ur_controller.rtde_server"]):
-    from sim_backend.protocol.rtde.codec import FrameReader, PackageType, Recipe, frame
-    from sim_backend.protocol.rtde.fields import INPUTS, OUTPUTS
-    from sim_backend.protocol.rtde.messages import InputsRequest, OutputsRequest, TextMessage, encode_version_request
+with atheris.instrument_imports(include=["wire.rtde", "sim_backend.ur_controller.rtde_server"]):
     from sim_backend.ur_controller.rtde_server import RtdeService
+    from wire.rtde.codec import FrameReader, PackageType, Recipe, frame
+    from wire.rtde.fields import INPUTS, OUTPUTS
+    from wire.rtde.messages import InputsRequest, OutputsRequest, TextMessage, encode_version_request
 
 NAMES = sorted(INPUTS.keys() | OUTPUTS.keys())
 

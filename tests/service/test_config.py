@@ -4,8 +4,8 @@ from typing import get_args
 import pytest
 
 from service.config import CellConfig, ConfigError, RecipeSection, load
-from service.hard_limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
-from sim_backend.protocol.task import Conditions
+from wire.limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
+from wire.task import Conditions
 
 SHIPPED = Path(__file__).parents[2] / "config" / "cell.toml"
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from wire.arrays import FloatArray
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,13 @@ class Truth:
     """
 
     time_s: float
-    q: Array
-    qd: Array
-    position: Array
-    rotation: Array
-    twist: Array
-    contact: Array
-    hole: Array
+    q: FloatArray
+    qd: FloatArray
+    position: FloatArray
+    rotation: FloatArray
+    twist: FloatArray
+    contact: FloatArray
+    hole: FloatArray
     hole_yaw: float
 
 
@@ -63,14 +63,14 @@ class Recording:
         load: (n,) resultant force that the flange carries, weight and inertia of the tool among it, N.
     """
 
-    time_s: Array
-    q: Array
-    qd: Array
-    position: Array
-    load: Array
+    time_s: FloatArray
+    q: FloatArray
+    qd: FloatArray
+    position: FloatArray
+    load: FloatArray
 
     @property
-    def speed(self) -> Array:
+    def speed(self) -> FloatArray:
         """(n - 1,) of `position`, m/s."""
         return np.linalg.norm(np.diff(self.position, axis=0), axis=1) / np.diff(self.time_s)
 
@@ -164,7 +164,7 @@ class EmulatedRobot:
         return json.loads(line)
 
 
-def plus(vector: npt.ArrayLike, *change: float) -> Array:
+def plus(vector: npt.ArrayLike, *change: float) -> FloatArray:
     """The sum of a vector and as many numbers."""
     return np.asarray(vector) + np.array(change)
 
@@ -192,7 +192,7 @@ class _Process:
         from sim_backend.ur_controller.listener import ListenError
         from sim_backend.ur_controller.plant import Plant
         from sim_backend.ur_controller.server import ControllerServer, Ports
-        from sim_backend.world import World
+        from sim_backend.world.world import World
 
         self._world = World(1, "tr")
         for self.host in hosts:
@@ -208,10 +208,11 @@ class _Process:
         self._controller.events.append(self._show)
 
     def run(self) -> None:
-        from sim_backend.protocol.wire import TICK_S
-        from sim_backend.realtime import Metronome, freeze_garbage, request_scheduling
+        from sim_backend.metronome import Metronome
+        from wire.realtime import freeze_garbage, request_realtime
+        from wire.records import TICK_S
 
-        request_scheduling()
+        request_realtime()
         freeze_garbage()
         metronome = Metronome(TICK_S)
         buffer = b""
@@ -259,7 +260,7 @@ class _Process:
         return attrgetter(path)(self._controller)(*arguments)
 
     def _lay_out(self, seed: int) -> None:
-        from sim_backend.protocol.task import Task
+        from wire.task import Task
 
         self._controller.plant.lay_out(Task(seed))
         self._model = self._world.model()
@@ -295,7 +296,7 @@ class _Process:
         mujoco.mj_forward(self._model, data)
         return data
 
-    def _twist(self) -> Array:
+    def _twist(self) -> FloatArray:
         import mujoco
 
         data = self._present()
@@ -303,7 +304,7 @@ class _Process:
         mujoco.mj_jacSite(self._model, data, jacobian[:3], jacobian[3:], self._model.site("tcp").id)
         return jacobian @ data.qvel
 
-    def _contact(self) -> Array:
+    def _contact(self) -> FloatArray:
         """(3,) what block and table push the peg with, as the physics solved it."""
         import mujoco
 

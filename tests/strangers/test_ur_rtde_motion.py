@@ -10,8 +10,8 @@ import pytest
 from rtde_control import Path, PathEntry, RTDEControlInterface
 from rtde_receive import RTDEReceiveInterface
 
-from sim_backend.protocol.pose import rotation_from_rotvec, rotvec_from_rotation
 from tests.strangers.emulated_robot import EmulatedRobot, Recording, plus, until
+from wire.pose import rotation_from_rotvec, rotvec_from_rotation
 
 TICK_S = 0.002
 SERVO = (0.0, 0.0, TICK_S, 0.05, 500.0)

@@ -9,9 +9,9 @@ import pytest
 from rtde_control import RTDEControlInterface
 from rtde_receive import RTDEReceiveInterface
 
-from sim_backend import scene
-from sim_backend.protocol.pose import rotation_from_rotvec
+from sim_backend.world import scene
 from tests.strangers.emulated_robot import EmulatedRobot, until
+from wire.pose import rotation_from_rotvec
 
 
 def test_ticks_arrive_on_the_grid_of_two_milliseconds(robot: EmulatedRobot, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from tests.training.play import REMEMBERING, SHORT
 def network(contract: Any) -> Any:
     """An untrained network; its head is let out, so that its actions differ from zero."""
     torch = pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
-    from training.network import ActorCritic
+    from training.learning.network import ActorCritic
 
     torch.manual_seed(0)
     made = ActorCritic(contract, 32, 32, -0.7)
@@ -36,7 +36,7 @@ def remembering() -> Any:
 def model_path(untrained: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The one without a memory as an ONNX file."""
     pytest.importorskip("onnx", reason="needs the extra `training`")
-    from training.export import export
+    from training.learning.export import export
 
     path = tmp_path_factory.mktemp("model") / "untrained.onnx"
     export(untrained, SHORT, path)

@@ -3,24 +3,23 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from sim_backend.protocol import pose
-from training import design
-from training.insertion import Insertions, Outcome
+from training.environment import design
+from training.environment.insertion import Insertions, Outcome
+from wire import pose
+from wire.arrays import FloatArray
 
-Array = npt.NDArray[np.float64]
 SHORT = design.contract_for(max_steps=30, name="untrained")
 """A contract for all frames at once, with short episodes."""
 REMEMBERING = design.contract_for(max_steps=30, name="remembering", hidden_size=32)
 """The same for one frame at a time."""
 
 
-def random_actions(steps: int, shape: tuple[int, ...], seed: int = 0) -> Array:
+def random_actions(steps: int, shape: tuple[int, ...], seed: int = 0) -> FloatArray:
     return np.random.default_rng(seed).uniform(-1, 1, (steps, *shape))
 
 
-def unit(cells: Insertions, displacement: Array) -> Array:
+def unit(cells: Insertions, displacement: FloatArray) -> FloatArray:
     """The action (n, 4) that asks for `displacement` (n, 4), base frame: m and rad; lateral and yaw are squared."""
     yaw = pose.yaw_of(cells.world.rotation)
     limit = np.array([entry.limit for entry in cells.contract.action])
@@ -33,7 +32,7 @@ def unit(cells: Insertions, displacement: Array) -> Array:
     return np.where(squared, np.sign(share) * np.sqrt(np.abs(share)), share)
 
 
-def towards_hole(cells: Insertions) -> Array:
+def towards_hole(cells: Insertions) -> FloatArray:
     """Knows the hole's pose: moves the peg's axis over it and turns the peg to match."""
     world = cells.world
     offset, turn = world.offset, world.hole_yaw

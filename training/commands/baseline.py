@@ -25,7 +25,7 @@ def baseline(
 ) -> None:
     """Write a scripted policy: spiral and yaw sweep, or one that asks for nothing."""
     try:
-        from training import baseline as scripts
+        from training.evaluation import baseline as scripts
     except ImportError as error:
         refuse_without_extra("baseline", error)
     data = {

@@ -9,14 +9,14 @@ from typing import Annotated, Any, cast, get_args
 
 import typer
 
-from service.hard_limits import FORCE_HARD_MAXIMUM_N
 from service.policy.model import Policy, PolicyError
 from service.safety import dsl
-from sim_backend.protocol.task import Conditions, Part, Task
-from training import design, paper, provenance, through_service
-from training import evaluate as evaluation
 from training.commands.refusal import refuse, refuse_without_extra
-from training.results import (
+from training.environment import design
+from training.environment.reward import RewardName
+from training.evaluation import evaluate as evaluation
+from training.evaluation import provenance, through_service
+from training.evaluation.results import (
     CEILING_N,
     HEADER,
     RESULTS,
@@ -29,7 +29,9 @@ from training.results import (
     Through,
     exclusive,
 )
-from training.reward import RewardName
+from training.report import paper
+from wire.limits import FORCE_HARD_MAXIMUM_N
+from wire.task import Conditions, Part, Task
 
 DEFAULT_CLEARANCES_MM = (2.0, 1.33, 0.33)
 _REMEDY = "choose another --name or folder, or drop them (evaluate: --anew)"
@@ -284,7 +286,7 @@ def _play(model: Path, policy: Policy, blocks: Sequence[Block], episodes: int, w
 def _record(model: Path, results: Results, path: Path, blocks: Sequence[Block]) -> None:
     """Write figures into the model's contract; its file is another one then, and the results go with it."""
     try:
-        from training.export import record_evaluation
+        from training.learning.export import record_evaluation
     except ImportError as error:
         refuse_without_extra("evaluate", error)
     policy = record_evaluation(model, [block.figure() for block in blocks])

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from training.commands.refusal import refuse, refuse_without_extra
-from training.experiment import ExperimentError, load
+from training.learning.experiment import ExperimentError, load
 
 
 def export(
@@ -19,9 +19,9 @@ def export(
 ) -> None:
     """Write a trained policy: network, normalisation and contract in one file."""
     try:
-        from training.export import export as write
-        from training.export import network_of
-        from training.run import CheckpointError, account_beside, contract_in, directory_of, read
+        from training.learning.export import export as write
+        from training.learning.export import network_of
+        from training.learning.run import CheckpointError, account_beside, contract_in, directory_of, read
     except ImportError as error:
         refuse_without_extra("export", error)
     path = (

@@ -6,10 +6,11 @@ from typing import Annotated, cast
 import typer
 
 from service.policy.model import Policy, PolicyError
-from sim_backend.protocol.task import Conditions, Part, Task
-from sim_backend.rendering import RenderingUnavailableError
-from training import design, paper
+from sim_backend.world.rendering import RenderingUnavailableError
 from training.commands.refusal import refuse, refuse_without_extra
+from training.environment import design
+from training.report import paper
+from wire.task import Conditions, Part, Task
 
 EXIT_UNAVAILABLE = 3
 GALLERY = Path("docs/gallery")
@@ -27,7 +28,7 @@ def gallery(
 ) -> None:
     """Draw each part's insertion of median length: PART.gif, PART.png, and a page that shows them all."""
     try:
-        from training import gallery as drawing
+        from training.report import gallery as drawing
     except ImportError as error:
         refuse_without_extra("gallery", error)
     try:

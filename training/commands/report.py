@@ -7,7 +7,7 @@ import typer
 
 from service.policy.model import PolicyError
 from training.commands.refusal import refuse, refuse_without_extra
-from training.results import RESULTS, ResultsError
+from training.evaluation.results import RESULTS, ResultsError
 
 
 def report(

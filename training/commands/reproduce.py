@@ -9,11 +9,11 @@ from typing import Annotated
 import typer
 
 from service.policy.model import Policy, PolicyError
-from training import paper
 from training.commands.evaluate import measure
 from training.commands.refusal import refuse, refuse_without_extra
-from training.evaluate import FIRST_TEST_SEED
-from training.results import RESULTS, Results, ResultsError, Setting, exclusive
+from training.evaluation.evaluate import FIRST_TEST_SEED
+from training.evaluation.results import RESULTS, Results, ResultsError, Setting, exclusive
+from training.report import paper
 
 EXIT_DIFFERENT = 1
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from training.commands.refusal import refuse, refuse_without_extra
-from training.experiment import Experiment, ExperimentError, load
+from training.learning.experiment import Experiment, ExperimentError, load
 
 EXIT_INTERRUPTED = 130
 
@@ -35,9 +35,9 @@ def train(
     The same command again goes on where the last one ended, however that was.
     """
     try:
-        from training.learn import TrainingError, learn
-        from training.parallel import WorkerError
-        from training.run import CheckpointError, Run
+        from training.learning.learn import TrainingError, learn
+        from training.learning.parallel import WorkerError
+        from training.learning.run import CheckpointError, Run
     except ImportError as error:
         refuse_without_extra("train", error)
     signal.signal(signal.SIGTERM, _interrupt)

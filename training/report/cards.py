@@ -17,14 +17,14 @@ from service.policy.contract import EvaluationFigure, PolicyContract
 from service.policy.model import Policy
 from service.policy.observation import ENTRIES, Need
 from service.safety import dsl
-from sim_backend.protocol.task import Part
-from training import files, paper
-from training.report import accounts
+from training import files
+from training.evaluation.results import Block as Measurement
+from training.evaluation.results import Results, ResultsError
+from training.report import accounts, paper
 from training.report.document import Block, Document, Heading, Judged, Paragraph, Table
 from training.report.measured import NOT_MEASURED, Measured, commit_name, interval, mean_steps, peaks, percent
 from training.report.own_chapters import THROUGH
-from training.results import Block as Measurement
-from training.results import Results, ResultsError
+from wire.task import Part
 
 TITLE = "Models"
 PAGE = "models.md"

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from service.policy.observation import Mode
 from training import files
-from training.results import ResultsError
+from training.evaluation.results import ResultsError
 
 FOLDER = "curves"
 """In the folder of the results."""

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from service.safety import dsl
-from sim_backend.protocol.task import Conditions, Part
-from training import paper
-from training.evaluate import FIRST_TEST_SEED
-from training.provenance import DIRTY
-from training.report import curves
+from training.evaluation.evaluate import FIRST_TEST_SEED
+from training.evaluation.provenance import DIRTY
+from training.evaluation.results import Block, Results, Setting, Through
+from training.report import curves, paper
 from training.report.curves import Curve
-from training.results import Block, Results, Setting, Through
+from wire.task import Conditions, Part
 
 NOT_MEASURED = "not measured"
 EPISODES = 500

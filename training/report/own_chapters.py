@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from service.safety import dsl
-from training.paper import Comparison, Level, Locked, Strength
+from training.evaluation.results import Block as Measurement
+from training.evaluation.results import Results, wilson
 from training.report import plots, policies
 from training.report.document import Block, Heading, Judged, Paragraph, Picture, Table
 from training.report.measured import (
@@ -22,8 +23,7 @@ from training.report.measured import (
     printed,
     success,
 )
-from training.results import Block as Measurement
-from training.results import Results, wilson
+from training.report.paper import Comparison, Level, Locked, Strength
 
 THROUGH = {"environment": "environment", "zenoh": "service over Zenoh", "rtde": "service over RTDE"}
 

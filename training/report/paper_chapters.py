@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim_backend.parts import PARTS, proportion
-from training import paper
-from training.paper import Cell, Comparison, Gap, Row, Table2
-from training.report import plots, policies
+from sim_backend.world.parts import PARTS, proportion
+from training.evaluation.results import Block as Measurement
+from training.evaluation.results import Through, wilson
+from training.report import paper, plots, policies
 from training.report.curves import Curve, Point
 from training.report.document import Block, Heading, Judged, Paragraph, Picture, Table
 from training.report.measured import (
@@ -24,8 +24,7 @@ from training.report.measured import (
     signed,
     success,
 )
-from training.results import Block as Measurement
-from training.results import Through, wilson
+from training.report.paper import Cell, Comparison, Gap, Row, Table2
 
 _HOW: dict[Through, str] = {"environment": "", "zenoh": ", service over Zenoh", "rtde": ", service over RTDE"}
 

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable, Iterator
 
+from training.evaluation.results import Results
 from training.report import accounts
 from training.report.accounts import Account
 from training.report.document import Block, Judged, Paragraph, Table
 from training.report.measured import Measured, duration
-from training.results import Results
 
 
 def misnamed(measured: Measured) -> Iterator[Block]:

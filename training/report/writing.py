@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from training import files, paper
+from training import files
 from training.report import own_chapters as own
+from training.report import paper
 from training.report import paper_chapters as others
 from training.report.document import Document
 from training.report.measured import Measured

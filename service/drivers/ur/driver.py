@@ -22,8 +22,8 @@ from service.drivers.ur.program import ProgramError, render
 from service.drivers.ur.registers import Command
 from service.drivers.ur.samples import Package, SampleReader
 from service.faults import FaultCode
-from sim_backend.protocol.rtde.modes import RuntimeState
-from sim_backend.protocol.wire import TICK_S, Program
+from wire.records import TICK_S, Program
+from wire.rtde.modes import RuntimeState
 
 FRESH_S = 1.0
 """Robot's time in which samples and camera frames of a world that was just laid out must come."""

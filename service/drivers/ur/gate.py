@@ -11,13 +11,14 @@ from math import hypot
 import numpy as np
 
 from service.config import PreflightSection, UrSection
-from service.drivers.base import Array, DriverError
+from service.drivers.base import DriverError
 from service.drivers.ur.dashboard import DashboardError
 from service.drivers.ur.link import UrLink
 from service.drivers.ur.recovery import dashboard
 from service.drivers.ur.samples import Package, SampleReader
 from service.faults import FaultCode
-from sim_backend.protocol.rtde.modes import RobotMode, SafetyMode
+from wire.arrays import FloatArray
+from wire.rtde.modes import RobotMode, SafetyMode
 
 MIN_VERSION = (5, 10, 0)
 """PolyScope 5 with `set_target_payload` and `ft_raw_wrench`."""
@@ -84,7 +85,7 @@ class Facts:
     remote_control: bool | None = None
     package: Package | None = None
     configured: Package | None = None
-    wrenches: Array | None = None
+    wrenches: FloatArray | None = None
     round_trip_s: float | None = None
     watchdog_s: float | None = None
 
@@ -177,8 +178,8 @@ async def measure_program(link: UrLink, ur: UrSection, *, prove_watchdog: bool) 
     )
 
 
-async def _window(link: UrLink, reader: SampleReader, samples: int) -> Array:
-    taken: list[Array] = []
+async def _window(link: UrLink, reader: SampleReader, samples: int) -> FloatArray:
+    taken: list[FloatArray] = []
     seen = -1
 
     def take(package: Package) -> bool:

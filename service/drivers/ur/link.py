@@ -20,10 +20,10 @@ from service.drivers.ur.samples import (
 )
 from service.drivers.ur.script_upload import UploadError, upload
 from service.faults import FaultCode
-from sim_backend.protocol.rtde.codec import Decoded
-from sim_backend.protocol.rtde.errors import Reason, RtdeError
-from sim_backend.protocol.rtde.modes import RuntimeState
-from sim_backend.protocol.wire import Program
+from wire.records import Program
+from wire.rtde.codec import Decoded
+from wire.rtde.errors import Reason, RtdeError
+from wire.rtde.modes import RuntimeState
 
 Mode = Literal["real_time", "lockstep"]
 

@@ -9,7 +9,7 @@ from string import Template
 from service.config import CellConfig, UrSection
 from service.drivers.ur import registers
 from service.safety.stop import STANDSTILL_M_S
-from sim_backend.protocol.wire import Program, StopReason
+from wire.records import Program, StopReason
 
 STOP_S = 0.1
 """Within it a stop's limit of speed falls to zero, as in the simulated arm."""

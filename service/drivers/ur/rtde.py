@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar, cast
 
 from service.drivers.ur.rtde_link import LinkError, RtdeLink, open_link
-from sim_backend.protocol.rtde.codec import HEADER_SIZE, Decoded, PackageType, Recipe, Value, frame
-from sim_backend.protocol.rtde.errors import PackageError, Reason, RtdeError
-from sim_backend.protocol.rtde.messages import (
+from wire.rtde.codec import HEADER_SIZE, Decoded, PackageType, Recipe, Value, frame
+from wire.rtde.errors import PackageError, Reason, RtdeError
+from wire.rtde.messages import (
     PORT,
     PROTOCOL_VERSION,
     ControllerVersion,

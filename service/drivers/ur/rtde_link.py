@@ -5,9 +5,9 @@ import socket
 from collections.abc import Callable
 from typing import cast
 
-from sim_backend.protocol.rtde.codec import FrameReader, PackageType
-from sim_backend.protocol.rtde.errors import PackageError, Reason, RtdeError
-from sim_backend.protocol.rtde.messages import TextMessage
+from wire.rtde.codec import FrameReader, PackageType
+from wire.rtde.errors import PackageError, Reason, RtdeError
+from wire.rtde.messages import TextMessage
 
 SEND_BUFFER = 2048
 """Of the socket, bytes; the smallest that Linux has, which is about six packages. A dead link holds back no more than

@@ -7,12 +7,13 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from service.config import UrSection
-from service.drivers.base import Array, Sample
+from service.drivers.base import Sample
 from service.drivers.ur import registers
-from sim_backend.protocol import pose
-from sim_backend.protocol.rtde.codec import Decoded
-from sim_backend.protocol.rtde.modes import RuntimeState, SafetyMode
-from sim_backend.protocol.wire import TICK_S, Program, StopReason
+from wire import pose
+from wire.arrays import FloatArray
+from wire.records import TICK_S, Program, StopReason
+from wire.rtde.codec import Decoded
+from wire.rtde.modes import RuntimeState, SafetyMode
 
 ALIVE_S = 0.1
 """A program whose counter stands for this long does not run. Zeroing the sensor may hold it up for some steps."""
@@ -160,7 +161,7 @@ class SampleReader:
         self._epoch = 1
 
     def read(
-        self, package: Package, arrival_s: float, *, running: bool, episode: int, hole_estimate: Array | None
+        self, package: Package, arrival_s: float, *, running: bool, episode: int, hole_estimate: FloatArray | None
     ) -> Sample:
         """Turn a package into a sample.
 
@@ -200,7 +201,7 @@ class SampleReader:
             peak_force_n=package.peak_force_n,
         )
 
-    def wrench(self, package: Package) -> Array:
+    def wrench(self, package: Package) -> FloatArray:
         """(6,) N and N·m at the TCP, base axes, of a package whose torque may be about the flange."""
         fx, fy, fz, tx, ty, tz = package.tcp_force
         x, y, z = _turned(self._lever, package.tcp_pose[3:])

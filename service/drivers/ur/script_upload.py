@@ -10,8 +10,8 @@ import re
 from collections.abc import AsyncIterator
 from enum import StrEnum
 
-from sim_backend.protocol.primary.errors import PrimaryError
-from sim_backend.protocol.primary.messages import (
+from wire.primary.errors import PrimaryError
+from wire.primary.messages import (
     PROGRAM_STARTED,
     ErrorCode,
     Key,
@@ -20,9 +20,9 @@ from sim_backend.protocol.primary.messages import (
     RuntimeException,
     decode_message,
 )
-from sim_backend.protocol.primary.packages import PORT, PackageReader, PackageType
-from sim_backend.protocol.primary.state import RobotMode, decode_state
-from sim_backend.protocol.rtde import modes
+from wire.primary.packages import PORT, PackageReader, PackageType
+from wire.primary.state import RobotMode, decode_state
+from wire.rtde import modes
 
 __all__ = ["PORT", "Reason", "UploadError", "upload"]
 

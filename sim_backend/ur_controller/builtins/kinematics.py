@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim_backend import kinematics
-from sim_backend.kinematics import JOINT_RANGE_RAD, KinematicsError
 from sim_backend.ur_controller.geometry import compose
 from sim_backend.ur_controller.motion.inverse import inverse_at
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Value
 from sim_backend.ur_controller.script.budget import BUDGET
 from sim_backend.ur_controller.script.values import number, pose, vector
+from sim_backend.world import kinematics
+from sim_backend.world.kinematics import JOINT_RANGE_RAD, KinematicsError
 
 from .motion import NO_SOLUTION
 

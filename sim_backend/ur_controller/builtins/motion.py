@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim_backend.kinematics import JOINT_SPEED_RAD_S, KinematicsError
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.motion import ForceTask, Motion
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Value
 from sim_backend.ur_controller.script.values import integer, is_list, number, pose, quantities, text_of_kind, truth
+from sim_backend.world.kinematics import JOINT_SPEED_RAD_S, KinematicsError
+from wire.records import TICK_S
 
 if TYPE_CHECKING:
     from sim_backend.ur_controller.controller import Controller

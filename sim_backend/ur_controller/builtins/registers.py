@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from sim_backend.protocol.rtde.fields import INPUTS
 from sim_backend.ur_controller.inputs import Action
 from sim_backend.ur_controller.script import Builtin, ScriptRuntimeError
 from sim_backend.ur_controller.script.values import LARGEST_INT, LEAST_INT, Value, integer, number, text, truth
+from wire.rtde.fields import INPUTS
 
 if TYPE_CHECKING:
     from sim_backend.ur_controller.controller import Controller

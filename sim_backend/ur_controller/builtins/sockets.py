@@ -12,9 +12,9 @@ import socket
 from collections.abc import Callable, Generator
 from typing import Any
 
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.script import Builtin, ScriptRuntimeError
 from sim_backend.ur_controller.script.values import Value, integer, is_number, number, text
+from wire.records import TICK_S
 
 OPEN_TIMEOUT_S = 2.0
 MOST_SOCKETS = 16

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Generator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.builtins.strings import text_of
 from sim_backend.ur_controller.events import Popup, Text
 from sim_backend.ur_controller.safety import ASKED_BY_PROGRAM
@@ -20,6 +19,7 @@ from sim_backend.ur_controller.script.values import (
     text,
     truth,
 )
+from wire.records import TICK_S
 
 if TYPE_CHECKING:
     from sim_backend.ur_controller.controller import Controller

@@ -4,7 +4,6 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.geometry import (
     Rotation,
     Vector,
@@ -15,6 +14,7 @@ from sim_backend.ur_controller.geometry import (
     rotvec_of,
     transpose,
 )
+from wire.records import TICK_S
 
 from .mover import Course, Timer, ToolMover, ToolState
 from .profile import Trapezoid

@@ -1,9 +1,8 @@
 """What the arm has lately measured, and whether it has just touched something."""
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from wire.arrays import FloatArray
 
 TICKS = 500
 """How far back it remembers: 1 s."""
@@ -22,7 +21,7 @@ class ContactMemory:
         self._force = np.zeros((TICKS, 3))
         self._ticks = 0
 
-    def record(self, q: Array, wrench: Array) -> None:
+    def record(self, q: FloatArray, wrench: FloatArray) -> None:
         """Remember a tick: joint angles (6,) and the wrench on the tool (6,), base axes."""
         slot = self._ticks % TICKS
         self._q[slot] = q
@@ -33,13 +32,13 @@ class ContactMemory:
         """Forget everything, as when the arm is put somewhere else."""
         self._ticks = 0
 
-    def joints(self, steps: int) -> Array | None:
+    def joints(self, steps: int) -> FloatArray | None:
         """Joint angles (6,) `steps` ticks before the last one; None when that is longer ago than it remembers."""
         if not 0 <= steps < min(self._ticks, TICKS):
             return None
         return self._q[(self._ticks - 1 - steps) % TICKS]
 
-    def touched(self, direction: Array) -> int:
+    def touched(self, direction: FloatArray) -> int:
         """Ticks since the tool touched something on its way in `direction` (3,), base axes; any way where it is zero.
 
         0: there is no contact. The load is compared with that of a second ago, so it needs no zeroed sensor, and a

@@ -8,7 +8,7 @@ a plane. Where a solution divides by zero is a singularity, one for each of the 
 import math
 from collections.abc import Sequence
 
-from sim_backend.kinematics import UR3E
+from sim_backend.world.kinematics import UR3E
 
 SINGULAR = 0.01
 """Margin, as `kinematics.singularity_margin`, below which a motion of the tool is not followed any more."""

@@ -9,8 +9,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.geometry import Rotation, Vector, rotate, rotation_of, transpose
+from wire.records import TICK_S
 
 DEFAULT_DAMPING, DEFAULT_GAIN = 0.005, 1.0
 """What `force_mode_set_damping` and `force_mode_set_gain_scaling` set, before they do."""

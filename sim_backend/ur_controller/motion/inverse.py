@@ -4,8 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim_backend import kinematics
-from sim_backend.kinematics import JOINT_RANGE_RAD
 from sim_backend.ur_controller.geometry import (
     Rotation,
     Vector,
@@ -17,6 +15,8 @@ from sim_backend.ur_controller.geometry import (
     rotvec_of,
     transpose,
 )
+from sim_backend.world import kinematics
+from sim_backend.world.kinematics import JOINT_RANGE_RAD
 
 from .differential import joint_rates
 

@@ -3,9 +3,9 @@
 import math
 from collections.abc import Sequence
 
-from sim_backend.kinematics import JOINT_SPEED_RAD_S
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.plant import Plant
+from sim_backend.world.kinematics import JOINT_SPEED_RAD_S
+from wire.records import TICK_S
 
 from .mover import Course, JointMover, Timer
 from .profile import Trapezoid

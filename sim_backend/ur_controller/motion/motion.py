@@ -4,12 +4,12 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from sim_backend.kinematics import KinematicsError, singularity_margin
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.geometry import multiply, rotation_of, rotvec_of, transpose
 from sim_backend.ur_controller.plant import Plant
+from sim_backend.world.kinematics import KinematicsError, singularity_margin
+from wire.arrays import FloatArray
+from wire.records import TICK_S
 
 from .cartesian import Arc, Line, PathMover, ServoC, SpeedL, StopL, standing
 from .contact import ContactMemory
@@ -19,8 +19,6 @@ from .joint import JOINT_RAD_S2, MoveJ, ServoJ, SpeedJ, StopJ, blend_share, top_
 from .mover import JointMover, Mover, ToolMover
 from .profile import Trapezoid
 from .target import CannotMove, JointTarget
-
-Array = npt.NDArray[np.float64]
 
 HOLD_RAD_S2 = 10.0
 """Leading axis' deceleration of a motion that nobody commands any more."""
@@ -91,17 +89,17 @@ class Motion:
         return self._target.moving
 
     @property
-    def q_target(self) -> Array:
+    def q_target(self) -> FloatArray:
         """(6,) rad; replaced, never changed in place, as are the next two."""
         return self._target.q_array
 
     @property
-    def qd_target(self) -> Array:
+    def qd_target(self) -> FloatArray:
         """(6,) rad/s."""
         return self._target.qd_array
 
     @property
-    def qdd_target(self) -> Array:
+    def qdd_target(self) -> FloatArray:
         """(6,) rad/s²."""
         return self._target.qdd_array
 

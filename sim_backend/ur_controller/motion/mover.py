@@ -2,8 +2,8 @@
 
 from abc import ABC, abstractmethod
 
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.geometry import Rotation, Vector
+from wire.records import TICK_S
 
 from .profile import Trapezoid
 

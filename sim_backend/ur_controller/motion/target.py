@@ -4,10 +4,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from sim_backend.kinematics import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.geometry import (
     Rotation,
     Vector,
@@ -19,11 +16,12 @@ from sim_backend.ur_controller.geometry import (
     transpose,
 )
 from sim_backend.ur_controller.plant import Plant
+from sim_backend.world.kinematics import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S
+from wire.arrays import FloatArray
+from wire.records import TICK_S
 
 from .differential import joint_rates, tool_twist
 from .joint import JOINT_RAD_S2
-
-Array = npt.NDArray[np.float64]
 
 _JOINTS = range(6)
 _RANGE: tuple[float, ...] = tuple(JOINT_RANGE_RAD.tolist())
@@ -60,9 +58,9 @@ class JointTarget:
         """The target is where the arm is, at rest."""
         self.q: list[float] = self._plant.q.tolist()
         self.qd = [0.0] * 6
-        self.q_array: Array = np.array(self.q)
-        self.qd_array: Array = _REST
-        self.qdd_array: Array = _REST
+        self.q_array: FloatArray = np.array(self.q)
+        self.qd_array: FloatArray = _REST
+        self.qdd_array: FloatArray = _REST
         self._take_tool()
 
     @property

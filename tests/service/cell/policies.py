@@ -6,7 +6,7 @@ import numpy as np
 
 from service.policy.contract import ObservationEntry, PolicyContract
 from tests.service.policy.model_files import contract, linear_model
-from training.design import LAW, LOCK
+from training.environment.design import LAW, LOCK
 
 OBSERVATION = (
     ObservationEntry.of("hole_offset_xy", scale=1e-3),

@@ -14,10 +14,10 @@ from service.client import CellClient, CellRefusedError, CellSilentError
 from service.faults import FaultCode
 from service.messages import CellState, Reason, ResetRequest, RunsRequest, RunState, StartRequest, StopRequest
 from service.testing import RECIPE, Bench, cell_config, lockstep_cell
-from service.transport import close_session, open_session, query
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
 from tests.service.sim_server import free_endpoint
+from wire.session import close_session, open_session, query
 
 CELL = "under-test"
 

@@ -15,10 +15,10 @@ from service.drivers.base import Program, Sample, StopReason
 from service.faults import FaultCode
 from service.messages import CellState, Reason, Refused, ResetRequest, RunState, StatusResult, StopRequest
 from service.testing import cell_config, lockstep_cell
-from sim_backend.protocol import pose
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyBench, FaultyCell
 from tests.service.cell.faulty_driver import Spoil, speed, with_wrench
+from wire import pose
 
 TICK_S = 0.002
 

@@ -34,11 +34,11 @@ from service.messages import (
 )
 from service.policy.model import Policy
 from service.testing import RECIPE, Bench, cell_config, lockstep_cell
-from sim_backend.cell import SimulatedCell
-from sim_backend.protocol.task import Task
+from sim_backend.zenoh_cell.cell import SimulatedCell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyCell
 from tests.service.cell.faulty_driver import FaultyDriver, with_wrench
+from wire.task import Task
 
 
 class LoadedCell(SimulatedCell):

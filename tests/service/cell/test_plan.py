@@ -11,12 +11,12 @@ from service.config import load
 from service.policy.contract import PolicyContract
 from service.policy.model import Policy
 from service.safety.bounds import BoundsParameters
-from sim_backend.arm import Limits
-from sim_backend.protocol.wire import TICK_S
-from sim_backend.scene import NOMINAL_HOLE_M
-from sim_backend.world import START_POSITION_M, START_YAW_RAD
-from training.design import vftm_dsl
-from training.insertion import Insertions, command_bounds
+from sim_backend.world.arm import Limits
+from sim_backend.world.scene import NOMINAL_HOLE_M
+from sim_backend.world.world import START_POSITION_M, START_YAW_RAD
+from training.environment.design import vftm_dsl
+from training.environment.insertion import Insertions, command_bounds
+from wire.records import TICK_S
 
 SHIPPED = load(Path(__file__).parents[3] / "config" / "cell.toml")
 NAME, RECIPE = next(iter(SHIPPED.recipes.items()))

@@ -11,11 +11,11 @@ from service.config import CellConfig, load
 from service.policy.model import Policy
 from service.safety.dsl import DslParameters
 from service.testing import RECIPE, cell_config
-from sim_backend.protocol.wire import TICK_S
 from tests.service.cell import policies
 from tests.service.drivers.ur.emulated import lockstep_ur_cell, ur_cell_config
 from tests.service.policy.model_files import OBSERVATION
-from training.design import LAW, LOCK
+from training.environment.design import LAW, LOCK
+from wire.records import TICK_S
 
 ROOT = Path(__file__).parents[3]
 SHIPPED = sorted((ROOT / "models").glob("*.onnx"))

@@ -17,7 +17,7 @@ from service.safety.dsl import DslParameters
 from service.testing import RECIPE, cell_config, lockstep_cell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyCell
-from training.design import LAW
+from training.environment.design import LAW
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

@@ -12,9 +12,10 @@ from service.drivers.base import DriverError, Setup
 from service.drivers.camera import ZenohCamera
 from service.drivers.stage import ZenohStage
 from service.faults import FaultCode
-from service.transport import close_session, open_session
-from sim_backend.protocol import keys, wire
 from tests.service.sim_server import free_endpoint
+from wire import keys
+from wire import records as wire
+from wire.session import close_session, open_session
 
 KEY = keys.CAMERA.format(world="w")
 SETUP = Setup(7, "tr", 2e-3, "easy")

@@ -9,13 +9,13 @@ import pytest
 import zenoh
 
 from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, Program, Sample, Setup
-from service.drivers.in_process import InProcessDriver
 from service.drivers.zenoh_sim import ZenohSimDriver
 from service.faults import FaultCode
-from service.transport import close_session, open_session
-from sim_backend.cell import SimulatedCell
-from sim_backend.protocol import wire
+from service.testing.in_process import InProcessDriver
+from sim_backend.zenoh_cell.cell import SimulatedCell
 from tests.service.sim_server import free_endpoint, sim_process
+from wire import records as wire
+from wire.session import close_session, open_session
 
 SETUP = Setup(seed=7, part="tr", clearance_m=2e-3, conditions="easy")
 LAW = ComplianceLaw(

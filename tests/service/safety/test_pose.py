@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.safety.pose import rotate, rotvec_from_yaw, wrap, yaw_and_tilt
-from sim_backend.protocol.pose import rotation_from_rotvec, rotvec_from_rotation
+from wire.pose import rotation_from_rotvec, rotvec_from_rotation
 
 angle = st.floats(-3.1, 3.1)
 

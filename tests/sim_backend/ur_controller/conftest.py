@@ -6,7 +6,7 @@ import pytest
 from sim_backend.ur_controller import events
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.plant import Plant
-from sim_backend.world import World
+from sim_backend.world.world import World
 
 
 class Bench:

@@ -4,7 +4,7 @@ from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.listener import Listener
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.rtde_server import RtdeService
-from sim_backend.world import World
+from sim_backend.world.world import World
 from tests.sim_backend.ur_controller.rtde_peer import Peer
 
 HOST = "127.0.0.22"

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from sim_backend.arm import PROTECTIVE_FORCE_N
-from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState, SafetyMode
-from sim_backend.protocol.task import Task
 from sim_backend.ur_controller import events
 from sim_backend.ur_controller.events import Refused
 from sim_backend.ur_controller.interpreter import MOST_SECONDARIES
 from sim_backend.ur_controller.safety import UNLOCK_TOO_EARLY
+from sim_backend.world.arm import PROTECTIVE_FORCE_N
+from wire.rtde.modes import RobotMode, RuntimeState, SafetyMode
+from wire.task import Task
 
 AWAY = "movej([0, -1.5, -1.5, -1.5, 1.5, 0], a=4, v=2)"
 COUNT = "n = 0\nwhile True:\n  n = n + 1\n  write_output_integer_register(24, n)\n  sync()\nend"

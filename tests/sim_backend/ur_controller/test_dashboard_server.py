@@ -8,7 +8,7 @@ from sim_backend.ur_controller.dashboard_server import BANNER, LOG_CHARACTERS, N
 from sim_backend.ur_controller.listener import Listener
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.safety import UNLOCK_AFTER_S, UNLOCK_TOO_EARLY
-from sim_backend.world import World
+from sim_backend.world.world import World
 
 HOST = "127.0.0.25"
 WAIT = "def wait():\n  while True:\n    sync()\n  end\nend\n"

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from sim_backend import kinematics
-from sim_backend.protocol import pose
 from sim_backend.ur_controller import geometry
+from sim_backend.world import kinematics
+from wire import pose
 
 RNG = np.random.default_rng(4)
 JOINTS = RNG.uniform(-6, 6, (200, 6))

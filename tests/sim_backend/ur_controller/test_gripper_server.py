@@ -3,7 +3,6 @@ from collections.abc import Iterator
 
 import pytest
 
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.gripper_server import (
     ACTIVATION_RUNS,
     ACTIVE,
@@ -19,6 +18,7 @@ from sim_backend.ur_controller.gripper_server import (
     GripperService,
 )
 from sim_backend.ur_controller.listener import Listener
+from wire.records import TICK_S
 
 HOST = "127.0.0.25"
 

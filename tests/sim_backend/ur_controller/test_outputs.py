@@ -5,9 +5,9 @@ import struct
 import numpy as np
 import pytest
 
-from sim_backend import kinematics, scene
-from sim_backend.protocol.rtde.fields import OUTPUTS, FieldType
 from sim_backend.ur_controller.geometry import compose, invert
+from sim_backend.world import kinematics, scene
+from wire.rtde.fields import OUTPUTS, FieldType
 
 SWING = "movej([0.2, -1.4, -1.6, -1.5, 1.3, 0.5], a=6, v=3)"
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from sim_backend import kinematics, scene
-from sim_backend.protocol.task import Task
 from sim_backend.ur_controller.geometry import compose, invert
 from sim_backend.ur_controller.motion.inverse import inverse_at
 from sim_backend.ur_controller.plant import Plant
-from sim_backend.world import START_POSITION_M, World
+from sim_backend.world import kinematics, scene
+from sim_backend.world.world import START_POSITION_M, World
+from wire.task import Task
 
 STILL = np.zeros(6)
 TOOL = (0.01, -0.02, 0.15, 0.3, -0.2, 0.5)

@@ -3,8 +3,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from sim_backend.protocol.primary import realtime, state
-from sim_backend.protocol.primary.messages import (
+from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.plant import Plant
+from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
+from sim_backend.world.world import World
+from wire.primary import realtime, state
+from wire.primary.messages import (
     PROGRAM_STARTED,
     PROGRAM_STOPPED,
     ErrorCode,
@@ -18,12 +22,8 @@ from sim_backend.protocol.primary.messages import (
     Version,
     decode_message,
 )
-from sim_backend.protocol.primary.packages import PackageReader, PackageType
-from sim_backend.protocol.rtde import modes
-from sim_backend.ur_controller.controller import Controller
-from sim_backend.ur_controller.plant import Plant
-from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
-from sim_backend.world import World
+from wire.primary.packages import PackageReader, PackageType
+from wire.rtde import modes
 
 HOST = "127.0.0.25"
 WAIT = b"def wait():\n  while True:\n    sync()\n  end\nend\n"

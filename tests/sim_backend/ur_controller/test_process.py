@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from sim_backend.protocol import wire
-from sim_backend.session import open_session
 from tests.sim_backend.ur_controller.rtde_peer import Peer
+from wire import records as wire
+from wire.session import open_session
 
 ROOT = Path(__file__).parents[3]
 HOST = "127.0.0.22"

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_backend.protocol.rtde.fields import INPUTS
 from sim_backend.ur_controller import listener
 from tests.sim_backend.ur_controller.rtde_bench import Bench
+from wire.rtde.fields import INPUTS
 
 OUTPUTS_OF_V2 = struct.pack(">d", 500.0) + b"actual_q"
 

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import pytest
 
-from sim_backend.protocol.rtde.fields import INPUTS, OUTPUTS, SINCE
 from tests.sim_backend.ur_controller.rtde_bench import Bench
+from wire.rtde.fields import INPUTS, OUTPUTS, SINCE
 
 
 @pytest.fixture

@@ -1,8 +1,8 @@
 import pytest
 
-from sim_backend.protocol.rtde.modes import RobotMode, SafetyMode
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.safety import UNLOCK_AFTER_S, Durations, Safety
+from wire.records import TICK_S
+from wire.rtde.modes import RobotMode, SafetyMode
 
 DURATIONS = Durations(power_on_s=0.1, brake_release_s=0.2, restart_safety_s=0.3)
 

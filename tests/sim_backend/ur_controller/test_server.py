@@ -10,7 +10,7 @@ from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.listener import ListenError
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer, Ports
-from sim_backend.world import World
+from sim_backend.world.world import World
 from tests.sim_backend.ur_controller.rtde_peer import PATIENCE, Peer
 
 HOST = "127.0.0.22"

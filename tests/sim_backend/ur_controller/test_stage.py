@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import zenoh
 
-from sim_backend.protocol import keys, wire
-from sim_backend.session import open_session
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
 from sim_backend.ur_controller.stage import Stage
-from sim_backend.world import START_POSITION_M, World
+from sim_backend.world.world import START_POSITION_M, World
+from wire import keys
+from wire import records as wire
+from wire.session import open_session
 
 HOST = "127.0.0.22"
 PATIENCE_S = 10.0

@@ -12,14 +12,16 @@ pytest.importorskip("matplotlib", reason="needs the extra `training`")
 
 from service.policy.contract import EvaluationFigure, PolicyContract
 from service.policy.model import Policy
-from sim_backend.protocol.task import Conditions
-from training import baseline, design, experiment, paper
 from training.commands.report import report
-from training.evaluate import FIRST_TEST_SEED
-from training.report import cards
+from training.environment import design
+from training.evaluation import baseline
+from training.evaluation.evaluate import FIRST_TEST_SEED
+from training.evaluation.results import Block, EpisodeResult, Results, ResultsError, Setting
+from training.learning import experiment
+from training.report import cards, paper
 from training.report.cards import Card, Note
 from training.report.measured import Measured
-from training.results import Block, EpisodeResult, Results, ResultsError, Setting
+from wire.task import Conditions
 
 EXPORTED: dict[str, Any] = {
     "steps": 1_500_000,

@@ -10,15 +10,14 @@ import pytest
 
 pytest.importorskip("matplotlib", reason="needs the extra `training`: pip install -e '.[training]'")
 
-from sim_backend.protocol.task import Conditions, Part
-from training import paper
 from training.commands.report import report
-from training.evaluate import FIRST_TEST_SEED
-from training.report import curves
+from training.evaluation.evaluate import FIRST_TEST_SEED
+from training.evaluation.results import Block, EpisodeResult, Results, ResultsError, Session, Setting
+from training.report import curves, paper
 from training.report.measured import Measured
 from training.report.paper_chapters import beaten
 from training.report.writing import document
-from training.results import Block, EpisodeResult, Results, ResultsError, Session, Setting
+from wire.task import Conditions, Part
 
 
 def block(
@@ -287,7 +286,7 @@ TASK = {"reward": "paper", "mode": "VFTM"}
 
 
 def run_folder(folder: Path, name: str = "paper-vftm-c133") -> Path:
-    """A training as `training.run` leaves it, its last line half written."""
+    """A training as `training.learning.run` leaves it, its last line half written."""
     folder = folder / name / "seed-3"
     folder.mkdir(parents=True)
     account = {

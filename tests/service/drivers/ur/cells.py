@@ -5,7 +5,7 @@ from typing import Any
 
 from service.config import CellConfig
 from service.testing import cell_config
-from sim_backend import scene
+from sim_backend.world import scene
 
 UR: dict[str, Any] = {
     "host": "127.0.0.24",

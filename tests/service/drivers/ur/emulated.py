@@ -26,7 +26,7 @@ from service.testing import Bench
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
-from sim_backend.world import World
+from sim_backend.world.world import World
 from tests.fault_proxy import FaultProxy
 from tests.service.drivers.ur.cells import UR, ur_config
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from service.drivers.ur.rtde import RtdeClient
-from sim_backend.protocol.rtde.errors import RtdeError
-from sim_backend.protocol.rtde.messages import TextMessage
 from tests.service.drivers.ur.rtde_responder import RtdeResponder
+from wire.rtde.errors import RtdeError
+from wire.rtde.messages import TextMessage
 
 OUTPUT_NAMES = ["timestamp", "actual_q", "robot_mode", "output_bit_register_64", "actual_TCP_force", "runtime_state"]
 INPUT_NAMES = [

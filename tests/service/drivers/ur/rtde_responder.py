@@ -4,9 +4,9 @@ import asyncio
 from types import TracebackType
 from typing import Self
 
-from sim_backend.protocol.rtde.codec import Decoded, FrameReader, PackageType, Recipe
-from sim_backend.protocol.rtde.fields import INPUTS, OUTPUTS, FieldType
-from sim_backend.protocol.rtde.messages import (
+from wire.rtde.codec import Decoded, FrameReader, PackageType, Recipe
+from wire.rtde.fields import INPUTS, OUTPUTS, FieldType
+from wire.rtde.messages import (
     ControllerVersion,
     InputsRequest,
     OutputsRequest,

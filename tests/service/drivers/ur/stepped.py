@@ -7,7 +7,7 @@ from collections.abc import AsyncGenerator
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer, Ports
-from sim_backend.world import World
+from sim_backend.world.world import World
 
 HOST = "127.0.0.25"
 

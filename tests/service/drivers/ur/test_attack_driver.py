@@ -11,12 +11,12 @@ from service.drivers.stage import LaidOut
 from service.drivers.ur import recovery, registers
 from service.drivers.ur.registers import Command
 from service.faults import FaultCode
-from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.controller import Controller
 from tests.service.drivers.ur.cells import ur_config
 from tests.service.drivers.ur.emulated import Emulated, emulated
 from tests.service.drivers.ur.test_driver import COMPLIANCE, FOREIGN, LIMITS, SETUP, engaged, step
+from wire.records import TICK_S
+from wire.rtde.modes import RobotMode, RuntimeState
 
 SWING = """
 def swing():

@@ -8,9 +8,9 @@ import pytest
 from service.drivers.ur import registers
 from service.drivers.ur.program import STOP_S
 from service.drivers.ur.registers import Command
-from sim_backend.protocol.wire import TICK_S, Program, StopReason
 from sim_backend.ur_controller import inputs
 from tests.service.drivers.ur.test_control_program import Arm, engage_arguments
+from wire.records import TICK_S, Program, StopReason
 
 
 def test_a_retract_that_came_free_does_not_push_an_obstacle_as_hard_as_what_it_came_from() -> None:

@@ -12,10 +12,10 @@ from service.drivers.base import Program
 from service.faults import FaultCode
 from service.messages import CellState, Problem, Reason, Refused, ResetRequest, RunState, StatusResult, StopRequest
 from service.testing import Bench, cell_config, lockstep_cell
-from sim_backend.protocol.rtde.modes import RuntimeState, SafetyMode
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
 from tests.service.drivers.ur.emulated import Emulated, lockstep_ur_cell, ur_cell_config
+from wire.rtde.modes import RuntimeState, SafetyMode
 
 UrCell = Callable[..., AbstractAsyncContextManager[Bench]]
 

@@ -10,17 +10,17 @@ import pytest
 from service.drivers.ur import registers
 from service.drivers.ur.program import RETRACT_SPEED_M_S, STOP_S, render
 from service.drivers.ur.registers import Command
-from sim_backend import quaternion
-from sim_backend.compliance import Law, Reference, advance
-from sim_backend.protocol.rtde.modes import RuntimeState
-from sim_backend.protocol.task import Task
-from sim_backend.protocol.wire import TICK_S, Program, StopReason
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Event
 from sim_backend.ur_controller.plant import Plant
-from sim_backend.world import World
+from sim_backend.world import quaternion
+from sim_backend.world.compliance import Law, Reference, advance
+from sim_backend.world.world import World
 from tests.service.drivers.ur.cells import ur_config
-from training.design import LAW
+from training.environment.design import LAW
+from wire.records import TICK_S, Program, StopReason
+from wire.rtde.modes import RuntimeState
+from wire.task import Task
 
 LIMITS = ur_config().limits
 STIFFNESS, DAMPING, INERTIA = LAW.stiffness, LAW.damping, LAW.inertia
@@ -123,7 +123,7 @@ def engage_arguments(
 
 @pytest.mark.parametrize("about", ["flange", "tcp"])
 def test_it_moves_the_arm_as_the_simulated_arm_s_law_does(about: str) -> None:
-    """Tick by tick against `sim_backend/compliance.py`, in free air, in contact, in translation and rotation."""
+    """Tick by tick against `sim_backend/world/compliance.py`, in free air, in contact, in translation and rotation."""
     arm = Arm(ur={"torque_about": about})
     if about == "tcp":
         arm.plant.flange_wrench = lambda: arm.plant.wrench.tolist()  # type: ignore[method-assign]

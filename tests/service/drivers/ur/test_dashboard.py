@@ -5,10 +5,10 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 import pytest
 
 from service.drivers.ur.dashboard import DashboardClient, DashboardError, Reason
-from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState, SafetyMode
 from sim_backend.ur_controller.controller import Controller
 from tests.fault_proxy import FaultProxy, chunked
 from tests.service.drivers.ur.stepped import HOST, stepped_controller
+from wire.rtde.modes import RobotMode, RuntimeState, SafetyMode
 
 WAIT = "def wait():\n  while True:\n    sync()\n  end\nend\n"
 Robot = tuple[Controller, DashboardClient]

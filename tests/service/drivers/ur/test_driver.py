@@ -9,12 +9,12 @@ from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget,
 from service.drivers.ur.driver import UrDriver
 from service.drivers.ur.gate import Verdict
 from service.faults import FaultCode
-from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState, SafetyMode
-from sim_backend.protocol.wire import TICK_S
 from sim_backend.ur_controller.controller import Controller
 from tests.service.drivers.ur.cells import ur_config
 from tests.service.drivers.ur.emulated import Emulated, emulated
-from training.design import LAW
+from training.environment.design import LAW
+from wire.records import TICK_S
+from wire.rtde.modes import RobotMode, RuntimeState, SafetyMode
 
 SETUP = Setup(3, "tr", 2e-3, "easy")
 COMPLIANCE = ComplianceLaw(np.array(LAW.stiffness), np.array(LAW.damping), np.array(LAW.inertia), np.array([0.1, 3.0]))

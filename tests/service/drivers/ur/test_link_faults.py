@@ -8,10 +8,10 @@ import pytest
 
 from service.drivers.base import Program, StopReason
 from service.faults import FaultCode
-from sim_backend.protocol.rtde.modes import RuntimeState
 from tests.fault_proxy import FaultProxy, chunked
 from tests.service.drivers.ur.emulated import Emulated, emulated
 from tests.service.drivers.ur.test_driver import engaged, step
+from wire.rtde.modes import RuntimeState
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ import pytest
 from service.client import CellClient
 from service.drivers.ur.rtde import RtdeClient
 from service.messages import CellState, StartRequest
-from sim_backend.protocol.rtde.modes import RuntimeState
 from tests.service.drivers.ur.cells import UR
 from tests.service.sim_server import free_endpoint
+from wire.rtde.modes import RuntimeState
 
 ROOT = Path(__file__).parents[4]
 HOST = UR["host"]

@@ -7,12 +7,12 @@ from collections.abc import Callable
 import pytest
 
 from service.drivers.ur.rtde_link import LinkError
-from sim_backend.protocol.rtde.codec import PackageType
-from sim_backend.protocol.rtde.errors import PackageError, Reason, SetupError
-from sim_backend.protocol.rtde.messages import Level, TextMessage
 from tests.fault_proxy import FaultProxy, Spoil, chunked, halved, untouched
 from tests.service.drivers.ur.rtde_listener import INPUT_NAMES, OUTPUT_NAMES, Listener, flowing, start, until
 from tests.service.drivers.ur.rtde_responder import VERSION, RtdeResponder
+from wire.rtde.codec import PackageType
+from wire.rtde.errors import PackageError, Reason, SetupError
+from wire.rtde.messages import Level, TextMessage
 
 
 async def test_values_arrive_as_the_types_say_and_only_then_is_it_ready(

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 
 from service.drivers.ur.rtde import RtdeClient
-from sim_backend.protocol.rtde.errors import Reason, RtdeError, SetupError
-from sim_backend.protocol.rtde.fields import INPUTS, OUTPUTS, SINCE
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
-from sim_backend.world import World
+from sim_backend.world.world import World
 from tests.fault_proxy import FaultProxy, chunked, garbled
+from wire.rtde.errors import Reason, RtdeError, SetupError
+from wire.rtde.fields import INPUTS, OUTPUTS, SINCE
 
 HOST = "127.0.0.23"
 MORE_THAN_BUFFERS_HOLD = 1000

@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 
 from service.drivers.ur.rtde_link import LinkError
-from sim_backend.protocol.rtde.codec import PackageType, Recipe, frame
-from sim_backend.protocol.rtde.errors import FramingError, PackageError, Reason, RtdeError
-from sim_backend.protocol.rtde.fields import OUTPUTS
 from tests.fault_proxy import FaultProxy, duplicated, garbled, reordered, untouched
 from tests.service.drivers.ur.rtde_listener import INPUT_NAMES, OUTPUT_NAMES, Listener, flowing, start, until
 from tests.service.drivers.ur.rtde_responder import RtdeResponder
+from wire.rtde.codec import PackageType, Recipe, frame
+from wire.rtde.errors import FramingError, PackageError, Reason, RtdeError
+from wire.rtde.fields import OUTPUTS
 
 FAULTS = {
     Reason.UNKNOWN_PACKAGE: frame(37, b"?"),

@@ -7,8 +7,8 @@ from service.drivers.base import Program, StopReason
 from service.drivers.ur.samples import ALIVE_S, OUTPUTS, ArrivalClock, Package, ProgramWatch, SampleReader
 from service.faults import FaultCode
 from service.safety.monitor import Monitor, MonitorParameters
-from sim_backend.protocol.pose import rotation_from_rotvec
 from tests.service.drivers.ur.cells import ur_config
+from wire.pose import rotation_from_rotvec
 
 CRC = 77
 

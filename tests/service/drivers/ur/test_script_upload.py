@@ -5,13 +5,13 @@ from collections.abc import AsyncIterator, Callable
 import pytest
 
 from service.drivers.ur.script_upload import Reason, UploadError, upload
-from sim_backend.protocol.primary import messages, state
-from sim_backend.protocol.primary.messages import encode_message
-from sim_backend.protocol.primary.packages import PackageType, frame
-from sim_backend.protocol.rtde.modes import RuntimeState
 from sim_backend.ur_controller.controller import Controller
 from tests.fault_proxy import FaultProxy, Spoil, chunked, halved
 from tests.service.drivers.ur.stepped import HOST, stepped_controller
+from wire.primary import messages, state
+from wire.primary.messages import encode_message
+from wire.primary.packages import PackageType, frame
+from wire.rtde.modes import RuntimeState
 
 WAIT = "def wait():\n  while True:\n    sync()\n  end\nend\n"
 Robot = tuple[Controller, int]

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from sim_backend import kinematics
 from sim_backend.ur_controller import events
 from sim_backend.ur_controller.builtins.motion import NO_SOLUTION
+from sim_backend.world import kinematics
 
 
 def _put(names: str) -> str:

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from sim_backend.protocol.rtde.modes import SafetyMode
 from sim_backend.ur_controller import events
 from sim_backend.ur_controller.builtins.motion import ANOTHER_THREAD, NO_SOLUTION
+from wire.rtde.modes import SafetyMode
 
 from ..contacts import pressing
 

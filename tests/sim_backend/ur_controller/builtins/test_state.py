@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from sim_backend import scene
-from sim_backend.protocol.rtde.modes import RobotMode, RuntimeState, SafetyMode
 from sim_backend.ur_controller import events
 from sim_backend.ur_controller.geometry import compose, invert
+from sim_backend.world import scene
+from wire.rtde.modes import RobotMode, RuntimeState, SafetyMode
 
 WEIGHT_N = scene.PAYLOAD_KG * 9.81
 

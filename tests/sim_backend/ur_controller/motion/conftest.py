@@ -4,18 +4,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
-from sim_backend.protocol.pose import rotation_from_rotvec
-from sim_backend.protocol.task import Task
 from sim_backend.ur_controller.motion import Motion
 from sim_backend.ur_controller.plant import Plant
-from sim_backend.world import World
+from sim_backend.world.world import World
+from wire.arrays import FloatArray
+from wire.pose import rotation_from_rotvec
+from wire.task import Task
 
 from ..contacts import pressing
-
-Array = npt.NDArray[np.float64]
 
 FREE = (0.28, -0.11, 0.15)
 """TCP position around which the arm can move by some centimetres and touches nothing."""
@@ -28,7 +26,7 @@ class Arm:
     plant: Plant
     motion: Motion
     fraction: float = 1.0
-    joints: list[Array] = field(default_factory=list)
+    joints: list[FloatArray] = field(default_factory=list)
     poses: list[list[float]] = field(default_factory=list)
     targets: list[list[float]] = field(default_factory=list)
 
@@ -54,10 +52,10 @@ class Arm:
         """Let the joints, which follow closely but not at once, come to where they are to be."""
         self.run(60)
 
-    def positions(self) -> Array:
+    def positions(self) -> FloatArray:
         return np.array(self.poses)[:, :3]
 
-    def speed(self) -> Array:
+    def speed(self) -> FloatArray:
         """Measured twist of the TCP."""
         return np.array(self.plant.tcp_speed())
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from sim_backend.protocol.pose import rotation_from_rotvec, rotvec_from_rotation
 from sim_backend.ur_controller.motion.cartesian import Arc
+from wire.pose import rotation_from_rotvec, rotvec_from_rotation
 
 from .conftest import Arm, angle_between
 

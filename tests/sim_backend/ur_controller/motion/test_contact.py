@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sim_backend.protocol.task import Task
+from wire.task import Task
 
 from .conftest import Arm
 

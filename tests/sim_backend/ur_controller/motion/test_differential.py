@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from sim_backend import kinematics
 from sim_backend.ur_controller.motion.differential import joint_rates, tool_twist
+from sim_backend.world import kinematics
 
 
 def _drawn(seed: int):

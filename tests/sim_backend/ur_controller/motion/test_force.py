@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from sim_backend.protocol.task import Task
 from sim_backend.ur_controller.motion import ForceTask
+from wire.task import Task
 
 from .conftest import Arm, angle_between
 

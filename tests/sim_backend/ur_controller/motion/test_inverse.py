@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from sim_backend import kinematics
 from sim_backend.ur_controller.geometry import flange_of
 from sim_backend.ur_controller.motion.inverse import inverse
+from sim_backend.world import kinematics
 
 
 @pytest.mark.parametrize("spread", [0.001, 0.02, 0.2, 1.5])

@@ -1,0 +1,94 @@
+"""How much faster than the wall clock simulated time passes when the client owns it."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from benchmarks.harness.exchange import answer, until_answered
+from benchmarks.harness.processes import free_port, running
+from benchmarks.harness.result import Result, median
+from service.drivers.base import ComplianceLaw, Limits, PoseTarget
+from service.drivers.sim_wire import CommandWriter
+from sim_backend.zenoh_cell.cell import SimulatedCell
+from wire import keys
+from wire import records as wire
+from wire.records import TICK_S
+from wire.session import close_session, open_session
+from wire.task import Task
+
+WORLD = "bench"
+POLICY_TICKS = 40
+LAW = ComplianceLaw(
+    stiffness=np.array([1000.0] * 3 + [10.0] * 3),
+    damping=np.array([200.0] * 3 + [2.0] * 3),
+    inertia=np.array([5.0] * 3 + [0.05] * 3),
+    max_speed=np.array([0.1, 0.5]),
+)
+LIMITS = Limits(
+    max_step=np.array([0.01, 0.2]),
+    workspace=np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]),
+    force_ceiling_n=30.0,
+    target_age_s=1.0,
+)
+
+
+def measure(scale: float) -> Result:
+    """Measure; `scale` multiplies the 20 s of simulated time per row."""
+    ticks = max(10, int(10_000 * scale) // POLICY_TICKS) * POLICY_TICKS
+    rows = [("world in this process, arm engaged", 1, _in_process(ticks))]
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with running("sim_backend", "serve", "--world", WORLD, "--mode", "lockstep", "--listen", endpoint):
+        session = open_session(connect=[endpoint])
+        try:
+            for each in (1, POLICY_TICKS):
+                selector = f"{keys.ADVANCE.format(world=WORLD)}?ticks={each}"
+                until_answered(session, selector)
+                text = "world over Zenoh, arm engaged"
+                rows.append((text, each, _time(ticks, each, lambda p, s=selector: answer(session, s, p))))
+        finally:
+            close_session(session)
+    speeds = [each * TICK_S / span for _, each, span in rows]
+    return Result(
+        question="How fast is lockstep simulation beside real time?",
+        columns=("simulation", "ticks per exchange", "µs per tick", "times real time"),
+        rows=tuple(
+            (name, str(each), f"{span / each * 1e6:.0f}", f"{speed:.1f}")
+            for (name, each, span), speed in zip(rows, speeds, strict=True)
+        ),
+        finding=f"One tick per exchange over Zenoh, as the service does it, runs at {speeds[1] / speeds[0]:.0%} "
+        "of the speed without transport.",
+        method=f"{ticks * TICK_S:.0f} s of simulated time per row, of which the median exchange; "
+        f"a new target every {POLICY_TICKS} ticks.",
+    )
+
+
+def _in_process(ticks: int) -> float:
+    cell = SimulatedCell()
+    cell.reset(Task(0))
+
+    def advance(commands: bytes | None) -> bytes:
+        if commands:
+            for command in wire.decode(commands, wire.COMMAND):
+                cell.apply(command)
+        return cell.tick().tobytes()
+
+    return _time(ticks, 1, advance)
+
+
+def _time(ticks: int, each: int, advance: Callable[[bytes | None], bytes]) -> float:
+    """Return the median seconds per call while `ticks` pass, `each` per call, with the arm following targets."""
+    commands = CommandWriter()
+    state = wire.decode(advance(None), wire.STATE)[-1:]
+    commands.epoch = int(state["epoch"][0])
+    position, rotvec = state["tcp_position"][0].copy(), state["tcp_rotvec"][0].copy()
+    advance(commands.engage(LAW, LIMITS).tobytes())
+    spans: list[float] = []
+    for done in range(0, ticks, each):
+        due = done % POLICY_TICKS < each
+        swing = np.array([0.005 * np.sin(done / 500), 0.0, 0.0])
+        payload = commands.target(PoseTarget(position + swing, rotvec)).tobytes() if due else None
+        begin = time.perf_counter()
+        advance(payload)
+        spans.append(time.perf_counter() - begin)
+    return median(spans)

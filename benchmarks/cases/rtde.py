@@ -1,0 +1,83 @@
+"""RTDE as the driver of a UR arm reads it, beside a plain `struct` loop and beside `ur_rtde`, by turns."""
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass, field
+
+from benchmarks.harness.processes import ROOT, running
+from benchmarks.harness.result import Result, UnavailableError, median
+from benchmarks.stands.rtde_readers import VARIABLES, WARM_UP_S
+from wire.rtde.messages import PORT
+
+HOST = "127.0.0.30"  # one of its own: ur_rtde knows no other port than the standard one
+RATE_HZ = 500
+SPAN_S = 2.0
+READERS = {
+    "struct_loop": "plain struct loop",
+    "on_asyncio": "this client, asyncio",
+    "on_uvloop": "this client, uvloop",
+    "ur_rtde": "ur_rtde",
+}
+
+
+@dataclass(slots=True)
+class _Rounds:
+    """Of one reader: packages per CPU second in a flood, and CPU seconds per second at `RATE_HZ`."""
+
+    flood: list[float] = field(default_factory=list[float])
+    share: list[float] = field(default_factory=list[float])
+
+
+def measure(scale: float) -> Result:
+    """Measure; `scale` multiplies the 3 rounds of 2 s per row and rate."""
+    count = max(1, int(3 * scale))
+    rounds = {reader: _Rounds() for reader in READERS}
+    for rate_hz in (0, RATE_HZ):
+        with running("benchmarks.stands.rtde_source", HOST, str(PORT), str(rate_hz)):
+            for reader in [*READERS] * count:
+                packages, cpu_s = _read(reader)
+                if rate_hz:
+                    rounds[reader].share.append(cpu_s / SPAN_S)
+                else:
+                    rounds[reader].flood.append(packages / cpu_s)
+    plain = rounds["struct_loop"]
+    rows = tuple(
+        (
+            READERS[reader],
+            f"{median(taken.flood) / 1e3:.0f}",
+            f"{median(taken.flood) / median(plain.flood):.2f}",
+            f"{median(taken.share):.1%}",
+            f"{median(taken.share) / median(plain.share):.2f}",
+        )
+        for reader, taken in rounds.items()
+    )
+    ours, theirs = rounds["on_uvloop"], rounds["ur_rtde"]
+    return Result(
+        question="What does it cost to read every package of RTDE?",
+        columns=("reader", "k packages per CPU s", "to struct", f"CPU at {RATE_HZ} Hz", "to struct"),
+        rows=rows,
+        finding=f"At {RATE_HZ} Hz this client on uvloop takes {median(ours.share) / median(theirs.share):.2f} of "
+        f"ur_rtde's CPU time; in a flood it decodes {median(ours.flood) / median(plain.flood):.2f} of what a plain "
+        "loop does.",
+        method=f"{len(VARIABLES)} variables, {count} rounds of {SPAN_S:g} s by turns, medians; each reader in a "
+        "process of its own, CPU time of all its threads. First a flood, as fast as the reader takes it, then "
+        f"{RATE_HZ} Hz. ur_rtde leaves out a package where the next one is there already: in a flood that is nearly "
+        "each, so its first figure is of bytes taken off the socket, not of packages decoded.",
+    )
+
+
+def _read(reader: str) -> tuple[int, float]:
+    """Let one reader read; return its packages and the CPU seconds that they took."""
+    arguments = [reader, HOST, str(PORT), str(SPAN_S)]
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.stands.rtde_readers", *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=WARM_UP_S + SPAN_S + 30,
+    )
+    if done.returncode != 0:
+        raise UnavailableError(f"{READERS[reader]} did not read: {(done.stdout + done.stderr)[-500:]}")
+    result = json.loads(done.stdout)
+    return int(result["packages"]), float(result["cpu_s"])

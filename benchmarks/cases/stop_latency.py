@@ -1,0 +1,144 @@
+"""From a sample above the ceiling to the stop command: within the process, and on the wire between real processes."""
+
+import asyncio
+import dataclasses
+import random
+
+from benchmarks.cases.round_trip import publication_echo
+from benchmarks.harness import operating
+from benchmarks.harness.exchange import spans
+from benchmarks.harness.processes import free_port, running
+from benchmarks.harness.result import QUANTILES, Result, UnavailableError, median, quantiles
+from benchmarks.harness.stopwatch import timed
+from benchmarks.stands.shipped_cell import ShippedCell, shipped_cell
+from benchmarks.stands.tripping_world import FORCE_N, TRIP
+from service.cell.cell import Cell
+from service.cell.process import standing
+from service.client import CellClient
+from service.messages import CellState, ResetRequest, StartRequest
+from service.testing.in_process import InProcessDriver
+from sim_backend.zenoh_cell.cell import SimulatedCell
+from wire.records import STATE, Kind, new
+from wire.session import close_session, open_session, query
+
+TRIP_TIMEOUT_S = 5.0
+
+
+def measure(scale: float) -> Result:
+    """Measure; `scale` multiplies the 40 stops of the real processes and the 200 within one."""
+    with shipped_cell() as shipped:
+        inside = asyncio.run(_inside(shipped, max(20, int(200 * scale))))
+    echo = _echo(max(100, int(2000 * scale)))
+    rows = [
+        ("bare Zenoh echo: there and back", echo),
+        ("monitor to driver, in one process", inside),
+    ]
+    for name, arguments in (("asked for", ()), ("not asked for", ("ordinary",))):
+        with shipped_cell() as shipped:
+            taken = _on_the_wire(shipped, arguments, max(5, int(40 * scale)))
+        rows.append((f"on the wire, real-time scheduling {name}", taken))
+    reference = median(echo)
+    wire = median(rows[2][1])
+    return Result(
+        question="How long from a sample above the ceiling to the stop command?",
+        columns=("way", "stops", *(f"{name} µs" for name in QUANTILES), "to echo"),
+        rows=tuple(
+            (name, str(len(taken)), *quantiles(taken), f"{median(taken) / reference:.2f}") for name, taken in rows
+        ),
+        finding=f"On the wire {wire * 1e6:.0f} µs (median), {wire / reference:.1f} bare echoes; "
+        f"the judgement itself {median(inside) * 1e6:.0f} µs.",
+        method="In one process: from the call that hands the sample over to the driver's stop. On the wire: a "
+        f"simulated cell publishes one sample of {FORCE_N:g} N while the control process approaches, and times the "
+        "stop's arrival; three processes, real time, the cell's own 500 Hz tick beside it. Runs that ended before are "
+        "left out.",
+    )
+
+
+def _echo(count: int) -> list[float]:
+    payload = new(STATE, Kind.STATE).tobytes()
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with running("benchmarks.stands.echo", endpoint):
+        session = open_session(connect=[endpoint])
+        try:
+            return spans(count, publication_echo(session, payload))
+        finally:
+            close_session(session)
+
+
+async def _inside(shipped: ShippedCell, count: int) -> list[float]:
+    taken: list[float] = []
+    cell = Cell(shipped.config, InProcessDriver(SimulatedCell()))
+    async with standing(cell):
+        for seed in range(count):
+            await _state(cell, CellState.READY)
+            await cell.start(StartRequest(recipe=shipped.recipe, seed=seed))
+            if await _state(cell, CellState.APPROACH, CellState.READY) is CellState.READY:
+                continue  # its pre-flight failed
+            sample = cell.newest_sample
+            assert sample is not None  # noqa: S101  # it approaches
+            wrench = sample.wrench.copy()
+            wrench[2] = FORCE_N
+            above = dataclasses.replace(sample, wrench=wrench, seq=sample.seq + 1)
+            with timed(Cell, "on_sample") as judged, timed(InProcessDriver, "stop") as stopped:
+                cell.on_sample(above)
+            taken.append(stopped.calls[0][1] - judged.calls[0][0])
+            await _state(cell, CellState.LATCHED)
+            await cell.reset(ResetRequest())
+    return taken
+
+
+async def _state(cell: Cell, *wanted: CellState) -> CellState:
+    async with asyncio.timeout(operating.STATE_TIMEOUT_S):
+        while cell.state not in wanted:
+            await asyncio.sleep(0)
+    return cell.state
+
+
+def _on_the_wire(shipped: ShippedCell, arguments: tuple[str, ...], count: int) -> list[float]:
+    config = shipped.config
+    output = str(config.cell.state_dir / "lateness.npy")
+    with (
+        running("benchmarks.stands.tripping_world", config.sim.endpoint, config.sim.world),
+        running(
+            "benchmarks.stands.watched_service", output, *arguments, ready="serving", environment=shipped.environment
+        ),
+    ):
+        return asyncio.run(stops(shipped, config.sim.endpoint, count))
+
+
+async def stops(shipped: ShippedCell, endpoint: str, count: int) -> list[float]:
+    """Start insertions, have each tripped while it approaches, and reset; return the spans from sample to stop, s.
+
+    Args:
+        shipped: runs, and is served.
+        endpoint: of who answers `TRIP`.
+        count: of insertions.
+
+    Raises:
+        UnavailableError: no stop came, or no insertion got that far.
+    """
+    taken: list[float] = []
+    session = await asyncio.to_thread(open_session, connect=[endpoint])
+    pauses = random.Random(0)  # noqa: S311  # so that stops fall on any moment of a tick
+    try:
+        async with CellClient(shipped.config.cell.id, [shipped.config.cell.endpoint]) as client:
+            for seed in range(count):
+                try:
+                    if not await operating.approach(client, shipped.recipe, seed):
+                        continue
+                except operating.LatchedError:
+                    await operating.reset(client)
+                    continue
+                await asyncio.sleep(pauses.uniform(0.0, 0.2))
+                answers = await query(session, TRIP, b"", TRIP_TIMEOUT_S)
+                status = await client.status()
+                if answers:
+                    taken.append(float(answers[0]))
+                elif status.state is not CellState.LATCHED:
+                    raise UnavailableError(f"no stop within {TRIP_TIMEOUT_S:g} s of a sample of {FORCE_N:g} N")
+                await operating.reset(client)
+    finally:
+        await asyncio.to_thread(close_session, session)
+    if not taken:
+        raise UnavailableError(f"none of {count} runs got as far as the approach")
+    return taken

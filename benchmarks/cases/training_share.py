@@ -1,0 +1,125 @@
+"""Training end to end: steps per second, and what share is physics."""
+
+import contextlib
+import io
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mujoco.batch import Batch
+
+from benchmarks.harness.result import Result
+from benchmarks.harness.stopwatch import timed
+from training.environment.vector import EndlessInsertions
+from training.learning import ppo
+from training.learning.experiment import Experiment, load
+from training.learning.learn import learn
+from training.learning.rollout import Collector
+from training.learning.run import Run
+
+EXPERIMENT = "vftm-dsl"
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """Where the time of a training in one process went, the evaluations before and after it left out.
+
+    Attributes:
+        steps: policy steps, of all cells.
+        cells: that were stepped at once.
+        physics_s: in `Batch.step`.
+        environment_s: in the environment, physics and resets included.
+        collecting_s: in the rollouts, environment included.
+        updates_s: in gradient updates.
+    """
+
+    steps: int
+    cells: int
+    physics_s: float
+    environment_s: float
+    collecting_s: float
+    updates_s: float
+
+    @property
+    def total_s(self) -> float:
+        return self.collecting_s + self.updates_s
+
+
+def measure(scale: float) -> Result:
+    """Measure; `scale` multiplies the four rollouts with their updates."""
+    rollouts = max(1, round(4 * scale))
+    share = one_process(rollouts)
+    parts = {
+        "physics (`Batch.step`)": share.physics_s,
+        "the rest of the environment, resets": share.environment_s - share.physics_s,
+        "policy in the rollout, buffers": share.collecting_s - share.environment_s,
+        "gradient updates": share.updates_s,
+    }
+    workers = len(os.sched_getaffinity(0))
+    rate = steps_per_s(workers, rollouts)
+    return Result(
+        question="Where does the time of training go?",
+        columns=("part", "s", "share"),
+        rows=(
+            *((name, f"{spent:.2f}", f"{spent / share.total_s:.0%}") for name, spent in parts.items()),
+            ("all, one process", f"{share.total_s:.2f}", "100%"),
+            (f"all, {workers} workers", f"{share.steps / rate:.2f}", "–"),
+        ),
+        finding=f"{share.steps / share.total_s:.0f} policy steps per second end to end in one process, physics is "
+        f"{share.physics_s / share.total_s:.0%} of it; {rate:.0f} with {workers} workers.",
+        method=f"{rollouts} rollouts of {share.cells} cells x {load(EXPERIMENT).algorithm.rollout} steps with updates, "
+        f"experiment {EXPERIMENT}, from a fresh network: episodes begin together, so contact is rarer than later on.",
+    )
+
+
+def one_process(rollouts: int, cells: int | None = None) -> Share:
+    """Train for some rollouts with one worker; `cells` instead of the experiment's."""
+    here = _shortened(load(EXPERIMENT), 1, rollouts, cells)
+    with (
+        timed(Batch, "step") as physics,
+        timed(EndlessInsertions, "step") as environment,
+        timed(Collector, "collect") as collecting,
+        timed(ppo, "update") as updates,
+    ):
+        _train(here)
+    first, last = collecting.calls[0][0], updates.calls[-1][1]
+    return Share(
+        here.algorithm.steps,
+        here.algorithm.cells,
+        sum(end - begin for begin, end in physics.calls if first <= begin < last),
+        environment.spent_s,
+        collecting.spent_s,
+        updates.spent_s,
+    )
+
+
+def steps_per_s(workers: int, rollouts: int, cells: int | None = None) -> float:
+    """Train for some rollouts; return policy steps per second end to end, all `cells` of all workers together."""
+    records = _train(_shortened(load(EXPERIMENT), workers, rollouts, cells))
+    ends = [record for record in records if record["kind"] == "rollout"]
+    return len(ends) / sum(1.0 / record["steps_per_s"] for record in ends)
+
+
+def _shortened(experiment: Experiment, workers: int, rollouts: int, cells: int | None = None) -> Experiment:
+    """Return `experiment` from a fresh network, on other processes, for a few rollouts, with next to no evaluation."""
+    cells = (cells or experiment.algorithm.cells) // workers * workers
+    steps = cells * experiment.algorithm.rollout * rollouts
+    return experiment.model_copy(
+        update={
+            "start_from": None,
+            "algorithm": experiment.algorithm.model_copy(update={"workers": workers, "cells": cells, "steps": steps}),
+            "evaluation": experiment.evaluation.model_copy(
+                update={"episodes": 1, "every_steps": steps, "clearances_mm": (2.0,)}
+            ),
+        }
+    )
+
+
+def _train(experiment: Experiment) -> list[dict[str, Any]]:
+    """Train, and return the records of its progress."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+        run = Run(experiment, 0, Path(folder))
+        learn(run)
+        return run.records()

@@ -1,0 +1,1 @@
+"""What every measurement uses: processes, clocks, results and their tables."""

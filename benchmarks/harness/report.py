@@ -1,0 +1,51 @@
+"""Results as a table for the eye and as JSON for a program."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.harness.result import Result
+
+
+def show(console: Console, name: str, result: Result) -> None:
+    if result.missing:
+        console.print(f"[bold]{name}[/bold]: not measured: {result.missing}\n", highlight=False)
+        return
+    table = Table(*result.columns, title=result.question, title_justify="left", caption=result.finding)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for row in result.rows:
+        table.add_row(*row)
+    console.print(table, "", highlight=False)
+
+
+def save(folder: Path, conditions: Mapping[str, str], results: Mapping[str, Result]) -> tuple[Path, Path]:
+    """Write `latest.md` and `latest.json`; returns their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    markdown, document = folder / "latest.md", folder / "latest.json"
+    markdown.write_text(_markdown(conditions, results), "utf-8")
+    plain = {"conditions": dict(conditions), "results": {name: asdict(result) for name, result in results.items()}}
+    document.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    return markdown, document
+
+
+def _markdown(conditions: Mapping[str, str], results: Mapping[str, Result]) -> str:
+    lines = ["# Benchmarks, latest run", "", "Guide: [benchmarks.md](../../docs/reference/benchmarks.md).", ""]
+    lines += [*_table(("condition", "value"), tuple(conditions.items())), ""]
+    for name, result in results.items():
+        lines += [f"## {name}", "", result.question, ""]
+        if result.missing:
+            lines += [f"Not measured: {result.missing}", ""]
+            continue
+        lines += [*_table(result.columns, result.rows), ""]
+        lines += [text for paragraph in (result.finding, result.method) if paragraph for text in (paragraph, "")]
+    return "\n".join(lines)
+
+
+def _table(columns: tuple[str, ...], rows: tuple[tuple[str, ...], ...]) -> list[str]:
+    rule = "|" + "---|" + "---:|" * (len(columns) - 1)
+    return [f"| {' | '.join(columns)} |", rule, *(f"| {' | '.join(row)} |" for row in rows)]

@@ -1,0 +1,71 @@
+"""A simulated cell in real time that, when asked, publishes one sample above the ceiling and times the stop it gets.
+
+`python -m benchmarks.stands.tripping_world ENDPOINT WORLD`. A query on `bench/trip` is answered, once the stop has
+arrived, with the seconds from that sample's publication to the stop's arrival; an engaged arm is needed.
+"""
+
+import sys
+import time
+
+import zenoh
+
+from sim_backend.zenoh_cell.cell import SimulatedCell
+from sim_backend.zenoh_cell.server import Mode, Server
+from wire import keys
+from wire import records as wire
+from wire.arrays import RecordArray
+from wire.realtime import request_realtime
+from wire.session import close_session, open_session
+from wire.task import Task
+
+TRIP = "bench/trip"
+FORCE_N = 100.0
+
+
+class TrippingCell(SimulatedCell):
+    """Lies once about the force, in the record alone: the world goes on as it is."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._query: zenoh.Query | None = None
+        self._published_s: float | None = None
+
+    def trip(self, query: zenoh.Query) -> None:
+        """On Zenoh's thread: do it with the next sample."""
+        self._query, self._published_s = query, None
+
+    def tick(self) -> RecordArray:
+        record = super().tick()
+        if self._query is not None and self._published_s is None and record["program"][0] == wire.Program.ENGAGED:
+            record["wrench"][0, 2] = FORCE_N
+            self._published_s = time.perf_counter()
+        return record
+
+    def on_command(self, sample: zenoh.Sample) -> None:
+        """On Zenoh's thread: answer the query with the first stop after the sample."""
+        arrived_s = time.perf_counter()
+        command = wire.decode(sample.payload.to_bytes(), wire.COMMAND)
+        if self._published_s is None or self._query is None or command["kind"][0] != wire.Kind.STOP:
+            return
+        query, self._query = self._query, None
+        with query:
+            query.reply(TRIP, repr(arrived_s - self._published_s), express=True)
+
+
+def main(endpoint: str, world: str) -> None:
+    session = open_session(listen=[endpoint])
+    try:
+        cell = TrippingCell()
+        cell.reset(Task(0))
+        refused = request_realtime()
+        session.declare_subscriber(keys.COMMAND.format(world=world), cell.on_command)
+        session.declare_queryable(TRIP, cell.trip)
+        server = Server(cell, session, world, Mode.REAL_TIME, refused)
+        print("ready", flush=True)
+        server.run()
+    finally:
+        close_session(session)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2])

@@ -1,0 +1,110 @@
+"""Clients that keep an emulated controller busy until SIGTERM; one that cannot go on ends by itself.
+
+`python -m benchmarks.stands.ur_clients readers HOST COUNT` takes packages at 500 Hz on COUNT connections and looks at
+none; `… ur_rtde HOST` has ur_rtde's own program run there, idle; `… driver` keeps the cell's control program engaged,
+at the host that the configuration of the environment names.
+"""
+
+import asyncio
+import importlib
+import selectors
+import socket
+import sys
+import time
+
+from benchmarks.harness.processes import READY
+from benchmarks.stands.rtde_readers import WARM_UP_S
+from benchmarks.stands.ur_cell import plan_first
+from service.config import load
+from service.drivers.base import PoseTarget, Sample, Setup
+from service.drivers.ur.driver import UrDriver
+from service.drivers.ur.samples import OUTPUTS
+from service.faults import FaultCode
+from wire.records import Program
+from wire.rtde.codec import FrameReader, PackageType, frame
+from wire.rtde.messages import PORT, OutputsRequest, encode_version_request
+
+RATE_HZ = 500.0
+READ_BYTES = 1 << 16
+TARGET_S = 0.1
+"""Between two targets, as a policy gives them."""
+
+
+def readers(host: str, count: int) -> None:
+    """Take the driver's packages on each connection, and throw them away."""
+    with selectors.DefaultSelector() as selector:
+        for _ in range(count):
+            selector.register(_started(host), selectors.EVENT_READ)
+        print(READY, flush=True)
+        while True:
+            for key, _ in selector.select():
+                reading = key.fileobj
+                if not isinstance(reading, socket.socket) or not reading.recv(READ_BYTES):
+                    raise SystemExit("the controller has closed a connection")
+
+
+def _started(host: str) -> socket.socket:
+    connection = socket.create_connection((host, PORT))
+    requests = encode_version_request(), OutputsRequest(OUTPUTS, RATE_HZ).encode(), frame(PackageType.START)
+    connection.sendall(b"".join(requests))
+    reader = FrameReader()
+    while data := connection.recv(READ_BYTES):
+        if any(kind == PackageType.DATA for kind, _ in reader.feed(data)):
+            return connection
+    raise SystemExit("the controller sends no data")
+
+
+def ur_rtde(host: str) -> None:
+    """Have `RTDEControlInterface` send its program; its thread takes packages at 500 Hz."""
+    control = importlib.import_module("rtde_control").RTDEControlInterface(host, RATE_HZ)
+    print(READY, flush=True)
+    while control.isConnected():
+        time.sleep(TARGET_S)
+    raise SystemExit("ur_rtde has lost its connection")
+
+
+class _Newest:
+    """Takes a driver's samples."""
+
+    def __init__(self) -> None:
+        self.sample: Sample | None = None
+
+    def on_sample(self, sample: Sample) -> None:
+        self.sample = sample
+
+    def on_link_fault(self, code: FaultCode, text: str) -> None:
+        raise SystemExit(f"{code}: {text}")
+
+
+async def driver() -> None:
+    """Engage the control program where the arm stands, and keep giving it the same target."""
+    config = load()
+    plan = plan_first(config)
+    newest = _Newest()
+    arm = UrDriver(config)
+    await arm.connect(newest)
+    await arm.prepare(Setup(None, "tr", 2e-3, "easy"))
+    arm.zero_ft()
+    await asyncio.sleep(WARM_UP_S)
+    arm.engage(plan.law, plan.limits)
+    assert newest.sample is not None  # noqa: S101  # the driver is connected
+    target = PoseTarget(newest.sample.tcp_position, newest.sample.tcp_rotvec)
+    arm.send_target(target)
+    await asyncio.sleep(TARGET_S)
+    print(READY, flush=True)
+    while newest.sample.program is Program.ENGAGED:
+        arm.send_target(target)
+        await asyncio.sleep(TARGET_S)
+    raise SystemExit(f"the control program has stopped: {newest.sample.stop_reason.name}")
+
+
+if __name__ == "__main__":
+    match sys.argv[1:]:
+        case ["readers", host, count]:
+            readers(host, int(count))
+        case ["ur_rtde", host]:
+            ur_rtde(host)
+        case ["driver"]:
+            asyncio.run(driver())
+        case _:
+            raise SystemExit(__doc__)

@@ -1,0 +1,57 @@
+"""The emulated controller's command as it is, with one thing added: it notes how late its ticks are and how long.
+
+`python -m benchmarks.stands.watched_controller OUTPUT HOST [ordinary]`. `ordinary` leaves out the request for real-time
+scheduling. At the end it writes one row per tick to OUTPUT (`.npy`), in s: monotonic time of its begin, lateness of its
+beat, duration. A program that ur_rtde has sent runs again, as a secondary one, beside a main one that comes after it.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness.stopwatch import timed
+from sim_backend import __main__ as command
+from sim_backend.metronome import Metronome
+from sim_backend.ur_controller import server
+from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.server import ControllerServer
+
+_UR_RTDE = "def rtde_control("
+
+
+def main(output: Path, host: str, *, ordinary: bool) -> None:
+    late_s: list[float] = []
+
+    class WatchedMetronome(Metronome):
+        def wait(self) -> None:
+            due_s = self._due_s + self._period_s
+            super().wait()
+            late_s.append(time.monotonic() - due_s)
+
+    run_script = Controller.run_script
+    kept: list[str] = []
+
+    def run_beside(self: Controller, text: str) -> None:
+        run_script(self, text)
+        if text.startswith(_UR_RTDE):
+            kept[:] = [text.replace("def", "sec", 1)]
+        elif kept:
+            run_script(self, kept[0])
+
+    server.Metronome = WatchedMetronome
+    Controller.run_script = run_beside
+    if ordinary:
+        command.request_realtime = lambda: ("real-time scheduling was not asked for",)
+    with timed(ControllerServer, "step") as steps:
+        try:
+            command.app(["ur-controller", "--host", host])
+        finally:
+            begins = np.array([begin for begin, _ in steps.calls])
+            count = len(begins)
+            np.save(output, np.stack([begins, late_s[:count], steps.spans_s], axis=1))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2], ordinary="ordinary" in sys.argv[3:])

@@ -1,0 +1,37 @@
+"""The control process as it is, with one thing added: it notes how late its loop judges each sample.
+
+`python -m benchmarks.stands.watched_service OUTPUT [ordinary]`; the configuration comes from the environment.
+`ordinary` leaves out the request for real-time scheduling. At the end it writes the latenesses, in s, to OUTPUT
+(`.npy`).
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from service import __main__ as command
+from service.cell import process
+from service.cell.cell import Cell
+from service.drivers.base import Sample
+
+
+def main(output: Path, *, ordinary: bool) -> None:
+    late_s: list[float] = []
+    judge = Cell.on_sample
+
+    def on_sample(self: Cell, sample: Sample) -> None:
+        judge(self, sample)
+        late_s.append(self.driver.clock() - sample.arrival_s)
+
+    Cell.on_sample = on_sample
+    if ordinary:
+        process.request_realtime = lambda: ("real-time scheduling was not asked for",)
+    try:
+        command.run(None)
+    finally:
+        np.save(output, np.array(late_s))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), ordinary="ordinary" in sys.argv[2:])

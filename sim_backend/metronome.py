@@ -1,0 +1,64 @@
+"""An absolute schedule: the beats of a real-time world on a general-purpose kernel."""
+
+import time
+from collections.abc import Callable
+
+MAX_CATCH_UP_TICKS = 3
+"""Ticks that may run back to back after a delay; time lost beyond them stays lost."""
+_SPIN_S = 100e-6
+
+
+class Metronome:
+    """Waits for the beats of an absolute schedule, so that lateness does not add up.
+
+    Attributes:
+        overruns: beats that came more than one period late.
+        skipped: beats left out because catching up with them would have been a burst.
+        worst_lateness_s: greatest lateness of a beat, s.
+    """
+
+    def __init__(
+        self,
+        period_s: float,
+        *,
+        spin: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """Start the schedule now.
+
+        Args:
+            period_s: time between beats, s.
+            spin: busy-wait the last 100 µs; only worth it with real-time scheduling.
+            clock: monotonic time, s.
+            sleep: returns after about the given time, s.
+        """
+        self.overruns = 0
+        self.skipped = 0
+        self.worst_lateness_s = 0.0
+        self._period_s = period_s
+        self._spin_s = _SPIN_S if spin else 0.0
+        self._clock = clock
+        self._sleep = sleep
+        self._due_s = clock()
+
+    def restart(self) -> None:
+        """Count the schedule from now: after work that was not a tick."""
+        self._due_s = self._clock()
+
+    def wait(self) -> None:
+        """Return at the next beat, or at once if it has passed."""
+        self._due_s += self._period_s
+        ahead_s = self._due_s - self._clock()
+        if ahead_s > self._spin_s:
+            self._sleep(ahead_s - self._spin_s)
+        while self._spin_s and self._clock() < self._due_s:
+            pass
+        late_s = self._clock() - self._due_s
+        self.worst_lateness_s = max(self.worst_lateness_s, late_s)
+        if late_s > self._period_s:
+            self.overruns += 1
+        behind = int(late_s / self._period_s) - MAX_CATCH_UP_TICKS
+        if behind > 0:
+            self.skipped += behind
+            self._due_s += behind * self._period_s

@@ -1,0 +1,1 @@
+"""The world: scene, parts, arm, compliance law, sensor, kinematics and rendering, for any number of cells."""

@@ -1,0 +1,325 @@
+"""The emulated arm controller: pose targets in, joint set-points out, 500 times a second, for n arms at once.
+
+It holds the compliance law, follows it by inverse kinematics, and has limits of its own: workspace, step, speed, force
+ceiling, age of the target, joint range, distance from singularities, and a protective stop. On a UR arm the control
+program and the robot do the same; these limits are the inner layer below the service's.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sim_backend.world import kinematics, quaternion
+from sim_backend.world.compliance import Law, Reference, advance
+from sim_backend.world.servo import JointServo
+from wire import pose
+from wire.arrays import CellIndices, FloatArray
+from wire.records import TICK_S, Program, StopReason
+
+KINEMATICS_TICKS = 20
+"""Ticks between exact solutions of the inverse kinematics; between them the Jacobian's inverse carries the joints."""
+SINGULARITY_MARGIN = 0.05
+"""Smallest `kinematics.singularity_margin` at which the arm is still driven."""
+PROTECTIVE_FORCE_N = 150.0
+PROTECTIVE_ERROR_RAD = 0.05
+STOP_S = 0.1
+"""Within it a stop's speed limit falls to zero: long enough to give way to a contact, and noise cannot draw it out."""
+MIN_PROTECTIVE_STOP_S = 5.0
+"""An unlock is refused earlier than this, as on a UR controller."""
+
+_STEP = kinematics.JOINT_SPEED_RAD_S * TICK_S
+_NOT_SATURATED = np.bool_(False)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the control program enforces by itself; scalars, shared by the arms that are engaged with them.
+
+    Attributes:
+        max_speed: m/s and rad/s of the reference.
+        max_step: m and rad between consecutive targets.
+        workspace: (2, 3) corners of the box for the TCP's position, m.
+        force_ceiling_n: resultant of the compensated force at which the program stops.
+        target_age_s: time without a new target after which it stops.
+    """
+
+    max_speed: tuple[float, float] = (0.1, 3.0)
+    max_step: tuple[float, float] = (0.012, 0.30)
+    workspace: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0.15, -0.26, 0.01), (0.45, 0.04, 0.40))
+    force_ceiling_n: float = 30.0
+    target_age_s: float = 0.5
+
+
+class ArmController:
+    """n controllers.
+
+    Args:
+        n: how many.
+        tcp_offset_m: TCP along the flange's z axis.
+        payload: mass kg and its centre along the flange's z axis m, for the gravity that the joints carry.
+        stiffness: (6,) N·m/rad of the joint servos.
+        damping: (6,) N·m·s/rad of the joint servos.
+    """
+
+    def __init__(
+        self, n: int, tcp_offset_m: float, payload: tuple[float, float], stiffness: FloatArray, damping: FloatArray
+    ) -> None:
+        self.n = n
+        self._all = np.arange(n)
+        self._offset = np.array([0.0, 0.0, tcp_offset_m])
+        mass, centre = payload
+        self._servo = JointServo(n, stiffness, damping, mass, (0.0, 0.0, centre))
+        self.program = np.zeros(n, np.int64)
+        self.stop_reason = np.zeros(n, np.int64)
+        self.peak_force = np.zeros(n)
+        self.law = Law(np.ones((n, 6)), np.ones((n, 6)), np.ones((n, 6)), np.ones((n, 2)))
+        self.reference = Reference(np.zeros((n, 3)), np.tile([1.0, 0, 0, 0], (n, 1)), np.zeros((n, 6)))
+        self.target_position = np.zeros((n, 3))
+        self.target_quaternion = np.tile([1.0, 0, 0, 0], (n, 1))
+        self.joints = np.zeros((n, 6))
+        self._delay = np.zeros(n, np.int64)
+        self._pending = np.full(n, -1)
+        self._pending_position = np.zeros((n, 3))
+        self._pending_quaternion = np.zeros((n, 4))
+        self._age = np.zeros(n, np.int64)
+        self._halted = np.zeros(n, np.int64)
+        self._max_speed = np.ones((n, 2))
+        self._max_age = np.full(n, np.iinfo(np.int64).max)
+        self._max_step = np.full((n, 2), np.inf)
+        self._workspace = np.tile(np.array([[-np.inf], [np.inf]]), (n, 1, 3))
+        self._ceiling = np.full(n, np.inf)
+        self.jacobian = np.zeros((n, 6, 6))
+        self._inverse = np.zeros((n, 6, 6))
+        self._phase = np.zeros(n, np.int64)
+
+    def place(self, cells: CellIndices, joints: FloatArray, target_delay: CellIndices) -> None:
+        """Put arms at rest at `joints` (k, 6), disengaged; a target takes effect after `target_delay` (k,) ticks."""
+        self.joints[cells] = joints
+        self.program[cells] = Program.IDLE
+        self.stop_reason[cells] = StopReason.NONE
+        self.peak_force[cells] = 0.0
+        self.reference.twist[cells] = 0.0
+        self._delay[cells] = target_delay
+        self._pending[cells] = -1
+        position, orientation = self._tcp(*kinematics.forward(joints))
+        self.reference.position[cells] = self.target_position[cells] = position
+        self.reference.quaternion[cells] = self.target_quaternion[cells] = orientation
+        self._phase[cells] = 0
+
+    def engage(
+        self, cells: CellIndices, stiffness: FloatArray, damping: FloatArray, inertia: FloatArray, limits: Limits
+    ) -> npt.NDArray[np.bool_]:
+        """Start the control program with the present reference as the target.
+
+        Args:
+            cells: (k,) arms.
+            stiffness: (6,) or (k, 6), N/m and N·m/rad; likewise `damping`, `inertia`: see `compliance.Law`.
+            damping: N·s/m and N·m·s/rad.
+            inertia: kg and kg·m².
+            limits: the program's own limits.
+
+        Returns:
+            (k,) which arms were engaged: those that were idle.
+        """
+        idle = self.program[cells] == Program.IDLE
+        cells = cells[idle]
+        self.law.stiffness[cells] = np.broadcast_to(stiffness, (len(idle), 6))[idle]
+        self.law.damping[cells] = np.broadcast_to(damping, (len(idle), 6))[idle]
+        self.law.inertia[cells] = np.broadcast_to(inertia, (len(idle), 6))[idle]
+        self.law.max_speed[cells] = self._max_speed[cells] = limits.max_speed
+        self._max_step[cells] = limits.max_step
+        self._workspace[cells] = limits.workspace
+        self._ceiling[cells] = limits.force_ceiling_n
+        self._max_age[cells] = round(limits.target_age_s / TICK_S)
+        self._age[cells] = 0
+        self._pending[cells] = -1
+        self.target_position[cells] = self.reference.position[cells]
+        self.target_quaternion[cells] = self.reference.quaternion[cells]
+        self.peak_force[cells] = 0.0
+        self.stop_reason[cells] = StopReason.NONE
+        self.program[cells] = Program.ENGAGED
+        return idle
+
+    def set_target(self, cells: CellIndices, position: FloatArray, orientation: FloatArray) -> npt.NDArray[np.bool_]:
+        """Give arms a new target; a bad one stops the program, it is not clipped.
+
+        Args:
+            cells: (k,) arms.
+            position: (k, 3) m.
+            orientation: (k, 4) quaternion, scalar first.
+
+        Returns:
+            (k,) which were accepted: engaged, finite, inside the workspace, within the step limit.
+        """
+        engaged = self.program[cells] == Program.ENGAGED
+        finite = np.isfinite(position).all(1) & np.isfinite(orientation).all(1)
+        box = self._workspace[cells]
+        inside = ((position >= box[:, 0]) & (position <= box[:, 1])).all(1)
+        waiting = self._pending[cells] >= 0
+        last_position = np.where(waiting[:, None], self._pending_position[cells], self.target_position[cells])
+        last_orientation = np.where(waiting[:, None], self._pending_quaternion[cells], self.target_quaternion[cells])
+        step = np.linalg.norm(position - last_position, axis=1)
+        turn = 2.0 * np.arccos(np.clip(np.abs((orientation * last_orientation).sum(1)), 0.0, 1.0))
+        near = (step <= self._max_step[cells, 0]) & (turn <= self._max_step[cells, 1])
+        good = engaged & finite & inside & near
+        self._stop(cells[engaged & ~good], StopReason.TARGET_REJECTED)
+        taken = cells[good]
+        self._pending[taken] = self._delay[taken]
+        self._pending_position[taken] = position[good]
+        self._pending_quaternion[taken] = orientation[good]
+        self._age[taken] = 0
+        return good
+
+    def stop(self, cells: CellIndices, reason: StopReason) -> None:
+        """Decelerate and hold. Idle arms stay idle; a second stop changes nothing."""
+        self._stop(cells[self.program[cells] == Program.ENGAGED], reason)
+
+    def unlock(self, cells: CellIndices) -> None:
+        """Leave the protective stop, if it has lasted long enough."""
+        ready = (self.program[cells] == Program.PROTECTIVE_STOP) & (
+            self._halted[cells] * TICK_S >= MIN_PROTECTIVE_STOP_S
+        )
+        self.program[cells[ready]] = Program.IDLE
+
+    def update(
+        self,
+        joints: FloatArray,
+        wrench: FloatArray,
+        position: FloatArray,
+        orientation: FloatArray,
+        saturated: npt.NDArray[np.bool_] | np.bool_ = _NOT_SATURATED,
+    ) -> FloatArray:
+        """Run one tick.
+
+        Args:
+            joints: (n, 6) measured, rad.
+            wrench: (n, 6) compensated, at the TCP, base axes, as the sensor gave it.
+            position: (n, 3) measured TCP.
+            orientation: (n, 4) quaternion of the measured TCP.
+            saturated: (n,) whose sensor is at the end of its range: its true load counts as above the ceiling.
+
+        Returns:
+            (n, 6) set-points for the joint servos, rad, with the lead and sag that make the arm follow closely.
+        """
+        self._release_pending()
+        wrench = self._watch(joints, wrench, position, orientation, saturated)
+        engaged = self.program == Program.ENGAGED
+        if engaged.all():
+            advance(self.law, self.reference, self.target_position, self.target_quaternion, wrench)
+        else:
+            self._advance_some(wrench)
+        # each arm's own phase, so that what happens to one arm does not reach into another
+        due = self._phase == 0
+        if due.all():
+            self._solve(self._all)
+        elif due.any():
+            self._solve(np.flatnonzero(due))
+        self._phase += 1
+        self._phase %= KINEMATICS_TICKS
+        rates = np.einsum("nij,nj->ni", self._inverse, self.reference.twist)
+        racing = np.abs(rates) > kinematics.JOINT_SPEED_RAD_S
+        if racing.any():
+            self._brake(racing.any(1), rates)
+        self.joints += TICK_S * rates
+        return self._servo.set_points(self.joints, rates)
+
+    def _release_pending(self) -> None:
+        due = self._pending == 0
+        if due.any():
+            self.target_position[due] = self._pending_position[due]
+            self.target_quaternion[due] = self._pending_quaternion[due]
+        self._pending -= self._pending >= 0
+
+    def _watch(
+        self,
+        joints: FloatArray,
+        wrench: FloatArray,
+        position: FloatArray,
+        orientation: FloatArray,
+        saturated: npt.NDArray[np.bool_] | np.bool_,
+    ) -> FloatArray:
+        """Stop what must be stopped; return the wrench to go by, zero where it is not a number."""
+        force = np.sqrt((wrench[:, :3] ** 2).sum(1))
+        np.fmax(self.peak_force, force, out=self.peak_force)
+        self._age += 1
+        self._halted += 1
+        known = np.isfinite(wrench.sum(1))
+        over, old = (force >= self._ceiling) | ~known | saturated, self._age > self._max_age
+        lagging = (np.abs(joints - self.joints) > PROTECTIVE_ERROR_RAD).any(1) | (force >= PROTECTIVE_FORCE_N)
+        if over.any() or old.any():
+            self.stop(np.flatnonzero(over), StopReason.FORCE_CEILING)
+            self.stop(np.flatnonzero(old), StopReason.TARGET_AGE)
+        # a stop holds where the arm is, not where the reference had got to
+        ending = np.flatnonzero((self.program == Program.STOPPING) & (self._halted == 1))
+        if ending.size:
+            self.target_position[ending] = position[ending]
+            self.target_quaternion[ending] = orientation[ending]
+        if lagging.any():
+            self._protect(np.flatnonzero(lagging), StopReason.PROTECTIVE_FORCE)
+            self.joints[lagging] = joints[lagging]
+        return wrench if known.all() else np.where(known[:, None], wrench, 0.0)
+
+    def _brake(self, racing: npt.NDArray[np.bool_], rates: FloatArray) -> None:
+        """A joint faster than it can turn: what a singularity that comes near shows first."""
+        self.stop(np.flatnonzero(racing), StopReason.KINEMATICS)
+        self.reference.twist[racing] = 0.0
+        rates[racing] = 0.0
+
+    def _stop(self, cells: CellIndices, reason: StopReason) -> None:
+        self.program[cells] = Program.STOPPING
+        self.stop_reason[cells] = reason
+        self._halted[cells] = 0
+        self._pending[cells] = -1
+
+    def _protect(self, cells: CellIndices, reason: StopReason) -> None:
+        fresh = cells[self.program[cells] != Program.PROTECTIVE_STOP]
+        self.program[fresh] = Program.PROTECTIVE_STOP
+        self.stop_reason[fresh] = reason
+        self._halted[fresh] = 0
+        self.reference.twist[fresh] = 0.0
+        self._phase[fresh] = 0
+
+    def _advance_some(self, wrench: FloatArray) -> None:
+        """The law for arms that are engaged or coming to rest; the others hold their reference."""
+        held = (self.program == Program.IDLE) | (self.program == Program.PROTECTIVE_STOP)
+        stopping = self.program == Program.STOPPING
+        left = np.maximum(1.0 - self._halted[stopping] * (TICK_S / STOP_S), 0.0)
+        self.law.max_speed[stopping] = self._max_speed[stopping] * left[:, None]
+        kept = self.reference.position[held].copy(), self.reference.quaternion[held].copy()
+        advance(self.law, self.reference, self.target_position, self.target_quaternion, wrench)
+        self.reference.position[held], self.reference.quaternion[held] = kept
+        self.reference.twist[held] = 0.0
+        self.program[np.flatnonzero(stopping)[left == 0.0]] = Program.IDLE
+
+    def _solve(self, cells: CellIndices) -> None:
+        """Bring the joints exactly onto the reference, and refresh the Jacobian's inverse and the payload's sag."""
+        joints = self.joints[cells]
+        flange, rotation, jacobian = kinematics.forward_and_jacobian(joints, self._offset)
+        self.jacobian[cells] = jacobian
+        position, orientation = self._tcp(flange, rotation)
+        singular = (kinematics.singularity_margin(joints) < SINGULARITY_MARGIN).any(1)
+        outside = (np.abs(joints) > kinematics.JOINT_RANGE_RAD).any(1)
+        held = self.program[cells] == Program.PROTECTIVE_STOP
+        if singular.any() or outside.any():
+            self.stop(cells[singular], StopReason.KINEMATICS)
+            self.stop(cells[outside], StopReason.JOINT_LIMIT)
+            self.reference.twist[cells[singular | outside]] = 0.0
+            jacobian[singular] = np.eye(6)
+            held |= singular
+        inverse = np.linalg.inv(jacobian)
+        inverse[singular] = 0.0  # a singular arm does not move
+        self._inverse[cells] = inverse
+        if held.any():
+            self.reference.position[cells[held]] = position[held]
+            self.reference.quaternion[cells[held]] = orientation[held]
+        turn = quaternion.between(orientation, self.reference.quaternion[cells])
+        error = np.concatenate([self.reference.position[cells] - position, turn], axis=1)
+        error -= TICK_S * self.reference.twist[cells]  # the step that follows
+        joints += np.clip(np.einsum("nij,nj->ni", inverse, error), -_STEP, _STEP)
+        self.joints[cells] = joints
+        self._servo.refresh(cells, joints)
+
+    def _tcp(self, flange: FloatArray, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Position (k, 3) and quaternion (k, 4) of the TCP for a flange's pose."""
+        return flange + rotation @ self._offset, quaternion.from_rotvec(pose.rotvec_from_rotation(rotation))

@@ -1,0 +1,313 @@
+"""n simulated cells stepped together: the plant, its sensor and its arm controller, one tick of 2 ms at a time.
+
+The same class serves one cell over Zenoh and hundreds in training: there is no other simulation.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from mujoco.batch import Batch
+
+from sim_backend.world import kinematics, scene
+from sim_backend.world.arm import ArmController, Limits
+from sim_backend.world.conditions import CAMERA_FRAMES, Episode, draw
+from sim_backend.world.parts import HOLE_DEPTH_M, hole_walls, wall_centres
+from sim_backend.world.sensor import ForceTorqueSensor
+from sim_backend.world.servo import gains
+from wire import pose
+from wire.arrays import CellIndices, FloatArray
+from wire.records import StopReason
+from wire.task import Part, Task
+
+START_POSITION_M = (scene.NOMINAL_HOLE_M[0], scene.NOMINAL_HOLE_M[1], 0.180)
+"""TCP at which an episode begins, tool down."""
+START_YAW_RAD = 0.0
+ESTIMATE_TICKS = 20
+"""Ticks per camera frame."""
+FLOOR_GIVE_M = 1e-3
+"""How deep below the floor's level a peg that stands on it may read."""
+_NEAR_JOINTS = np.array([-0.2, -1.9, -1.7, -1.1, 1.57, 0.0])
+"""Elbow up, over the table: the branch of the inverse kinematics that the arm lives on."""
+
+
+class World:
+    """n cells.
+
+    Args:
+        n: how many.
+        part: peg and hole of all of them; clearance, pose and plant differ from cell to cell.
+        threads: that step the physics; 0 for one per core.
+
+    Attributes:
+        joints: (n, 6) measured, rad.
+        position: (n, 3) measured TCP, base frame; of the tick before, as MuJoCo gives it.
+        rotation: (n, 3, 3) measured orientation of the TCP; likewise.
+        sensor: what it reads; `sensor.wrench` (n, 6) is the compensated one.
+        estimate: (n, 3) the camera's estimate of the hole's mouth.
+        arm: the arm controllers.
+        ticks: (n,) since each cell's reset.
+    """
+
+    def __init__(self, n: int = 1, part: Part = "tr", threads: int = 1) -> None:
+        self.n = n
+        self.part: Part = part
+        self._scene = scene.build(part)
+        model = self._scene.model
+        self._batch = Batch(model, nsim=n, nthread=threads)
+        batch = self._batch
+        self._qpos, self._qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
+        self._block_position, self._block_quat = batch.bind("mocap_pos")[:, 0], batch.bind("mocap_quat")[:, 0]
+        self._warmstart = batch.bind("qacc_warmstart")
+        self._load = batch.bind("sensordata")
+        site = model.site("tcp").id
+        self._tcp_position = batch.bind("site_xpos")[:, site]
+        self._tcp_rotation = batch.bind("site_xmat").reshape(n, -1, 3, 3)[:, site]
+        self._orientation = batch.bind("xquat")[:, self._scene.gripper_body]
+        self._peg_position = batch.bind("xpos")[:, self._scene.peg_body]
+        base = model.body("base").id
+        self._moving = slice(base, self._scene.peg_body + 1)
+        self._centre = batch.bind("subtree_com")[:, base]
+        self._body_centre, self._body_twist = batch.bind("xipos"), batch.bind("cvel")
+        self._wall_position = batch.expand("geom_pos")
+        self._friction = batch.expand("geom_friction")
+        self._contact = batch.expand("geom_solref")
+        self._body_position = batch.expand("body_pos")
+        self._mass = batch.expand("body_mass")
+        self._inertia = batch.expand("body_inertia")
+        self._finger_stiffness = batch.expand("jnt_stiffness")
+        self.sensor = ForceTorqueSensor(
+            n, scene.PAYLOAD_KG, (0.0, 0.0, scene.PAYLOAD_COM_M), (0.0, 0.0, scene.TCP_OFFSET_M)
+        )
+        self.arm = ArmController(
+            n,
+            scene.TCP_OFFSET_M,
+            (scene.PAYLOAD_KG, scene.PAYLOAD_COM_M),
+            *gains(model),
+        )
+        self._episodes: list[Episode] = [draw(Task(0, part))] * n
+        self._all = np.arange(n)
+        self.clearance = np.full(n, 2e-3)
+        self.joints = np.zeros((n, 6))
+        self.position, self.rotation = np.zeros((n, 3)), np.zeros((n, 3, 3))
+        self.estimate = np.zeros((n, 3))
+        self._offset = np.zeros((n, 3))
+        self._jitter = np.zeros((n, CAMERA_FRAMES, 3))
+        self.ticks = np.zeros(n, np.int64)
+        self._stiffness_scale = np.ones(n)
+        self.reset(self._all, [Task(i, part) for i in range(n)])
+
+    def reset(self, cells: CellIndices, tasks: Sequence[Task]) -> None:
+        """Lay out cells anew: another hole, another plant, the arm at rest at the start pose.
+
+        Args:
+            cells: (k,) which.
+            tasks: k tasks; their part must be this world's.
+
+        Raises:
+            ValueError: a task names another part.
+        """
+        walls = self._scene.wall_geoms
+        for cell, task in zip(cells, tasks, strict=True):
+            if task.part != self.part:
+                raise ValueError(
+                    f"this world holds part {self.part!r}, the task asks for {task.part!r}; start another world"
+                )
+            episode = draw(task)
+            self._episodes[cell] = episode
+            self.clearance[cell] = task.clearance_m
+            self.move_hole(np.array([cell]), episode.hole_position[None], np.array([episode.hole_yaw]))
+            self._wall_position[cell, walls, :2] = wall_centres(
+                self._scene.part, task.clearance_m, scene.WALL_HALF_THICKNESS_M
+            )
+            self._friction[cell, :, 0] = episode.friction
+            self._contact[cell, :, 0] = episode.contact_time_s
+            self._body_position[cell, self._scene.peg_body, :2] = episode.grasp_offset
+            carried = [self._scene.gripper_body, self._scene.peg_body]
+            nominal = self._scene.model
+            self._mass[cell, carried] = nominal.body_mass[carried] * episode.mass_scale
+            self._inertia[cell, carried] = nominal.body_inertia[carried] * episode.mass_scale
+            self._finger_stiffness[cell, -1] = scene.FINGER_STIFFNESS_NM * episode.stiffness_scale
+            self._stiffness_scale[cell] = episode.stiffness_scale
+            self._offset[cell] = episode.hole_position + episode.estimate_offset
+            self._jitter[cell] = episode.estimate_noise
+            self.sensor.reset(int(cell), episode)
+            self.ticks[cell] = 0
+        self.estimate[cells] = self.camera(cells)
+        k = len(cells)
+        self.place(cells, np.tile(START_POSITION_M, (k, 1)), np.full(k, START_YAW_RAD))
+
+    def place(self, cells: CellIndices, position: FloatArray, yaw: FloatArray) -> None:
+        """Put arms at rest with the TCP at `position` (k, 3), tool down, yaw (k,); their programs are idle afterwards.
+
+        Raises:
+            KinematicsError: out of reach.
+        """
+        rotation = pose.tool_down(yaw)
+        flange = position - rotation @ np.array([0.0, 0.0, scene.TCP_OFFSET_M])
+        joints = kinematics.inverse(flange, rotation, np.broadcast_to(_NEAR_JOINTS, (len(cells), 6)))
+        self.arm.place(cells, joints, np.array([self._episodes[c].target_delay for c in cells], np.int64))
+        self._qpos[cells] = np.column_stack([joints, np.zeros(len(cells))])
+        self._qvel[cells] = 0.0
+        self._warmstart[cells] = 0.0
+        self._ctrl[cells] = joints
+        self._batch.forward(None if len(cells) == self.n else cells.astype(np.int32))
+        self._measure()
+
+    def move_hole(self, cells: CellIndices, position: FloatArray, yaw: FloatArray) -> None:
+        """Have the holes of `cells` elsewhere from now on, as a block that slips does; the camera does not notice.
+
+        Args:
+            cells: (k,) which.
+            position: (k, 3) centre of the mouth, m.
+            yaw: (k,) rad.
+        """
+        half = 0.5 * yaw
+        self._block_position[cells] = position
+        self._block_quat[cells] = np.column_stack([np.cos(half), np.zeros((len(cells), 2)), np.sin(half)])
+
+    def zero_ft(self, cells: CellIndices) -> None:
+        """Zero the sensors of `cells`; whoever commands refuses it while engaged, and it is meaningless in contact."""
+        self.sensor.zero(cells)
+
+    def engage(
+        self, cells: CellIndices, stiffness: FloatArray, damping: FloatArray, inertia: FloatArray, limits: Limits
+    ) -> npt.NDArray[np.bool_]:
+        """Start the control programs; the plant's stiffness error applies. Returns (k,) which were engaged."""
+        scaled = np.broadcast_to(stiffness, (len(cells), 6)) * self._stiffness_scale[cells, None]
+        return self.arm.engage(cells, scaled, damping, inertia, limits)
+
+    def stop(self, cells: CellIndices) -> None:
+        """Stop arms, as a client's command does."""
+        self.arm.stop(cells, StopReason.COMMAND)
+
+    def tick(self) -> None:
+        """Advance every cell by one tick of 2 ms, driven by its arm controller."""
+        self.drive(
+            self.arm.update(self.joints, self.sensor.wrench, self.position, self._orientation, self.sensor.saturated)
+        )
+
+    def drive(self, set_points: FloatArray) -> None:
+        """Advance every cell by one tick of 2 ms with `set_points` (n, 6) for the joint servos, rad.
+
+        For a controller other than `arm`, which then stands still.
+        """
+        self._ctrl[:] = set_points
+        self._batch.step()
+        self.ticks += 1
+        self._measure()
+        self.sensor.read(-self._load, self.rotation)
+        self.estimate = self.camera(self._all)
+
+    def camera(self, cells: CellIndices) -> FloatArray:
+        """(k, 3) the camera's present estimate of the hole's mouth."""
+        frame = (self.ticks[cells] // ESTIMATE_TICKS) % CAMERA_FRAMES
+        return self._offset[cells] + self._jitter[cells, frame]
+
+    def hover(self, cells: CellIndices) -> FloatArray:
+        """(k,) height above the estimate, m, at which the episode's scripted approach ends."""
+        return np.array([self._episodes[int(cell)].hover_m for cell in cells])
+
+    def model(self, cell: int = 0) -> mujoco.MjModel:
+        """Copy one cell's MuJoCo model, with the walls, grasp, masses and friction of its episode."""
+        return self._batch.get_model(cell)
+
+    def data(self, cell: int = 0) -> mujoco.MjData:
+        """One cell as MuJoCo data, for rendering and inspection; it goes with `model(cell)`."""
+        return self._batch.get_data(cell)
+
+    @property
+    def target_delay(self) -> CellIndices:
+        """(n,) ticks from a command's arrival to its effect, as the episodes have it."""
+        return np.array([episode.target_delay for episode in self._episodes])
+
+    def truth(self, cell: int = 0) -> dict[str, Any]:
+        """What only the simulation knows about a cell, as JSON: for evaluation and tests, never for a controller."""
+        return {
+            "hole_position": self.hole_position[cell].tolist(),
+            "hole_yaw": float(self.hole_yaw[cell]),
+            "depth": float(self.depth[cell]),
+            "offset": self.offset[cell].tolist(),
+            "contained": bool(self.contained[cell]),
+            "force": float(self.true_force[cell]),
+        }
+
+    @property
+    def twist(self) -> FloatArray:
+        """(n, 6) measured twist of the TCP, base frame, m/s and rad/s."""
+        return np.einsum("nij,nj->ni", self.arm.jacobian, self._qvel[:, :6])
+
+    @property
+    def joint_speeds(self) -> FloatArray:
+        """(n, 6) measured, rad/s."""
+        return self._qvel[:, :6]
+
+    @property
+    def depth(self) -> FloatArray:
+        """(n,) true depth of the peg's bottom below the hole's mouth, m; negative above it."""
+        return self._block_position[:, 2] - self._peg_position[:, 2]
+
+    @property
+    def offset(self) -> FloatArray:
+        """(n, 2) true position of the peg's axis in the hole's frame, m."""
+        delta = self._peg_position[:, :2] - self._block_position[:, :2]
+        cosine, sine = np.cos(self.hole_yaw), np.sin(self.hole_yaw)
+        return np.stack([cosine * delta[:, 0] + sine * delta[:, 1], cosine * delta[:, 1] - sine * delta[:, 0]], axis=1)
+
+    @property
+    def hole_yaw(self) -> FloatArray:
+        """(n,) true yaw of the hole, rad."""
+        return 2.0 * np.arctan2(self._block_quat[:, 3], self._block_quat[:, 0])
+
+    @property
+    def friction(self) -> FloatArray:
+        """(n,) sliding friction of peg on block."""
+        return self._friction[:, self._scene.peg_geom, 0]
+
+    @property
+    def symmetry_order(self) -> int:
+        """Turns by 2π over this leave the peg unchanged; 0 for a round one."""
+        return self._scene.part.symmetry_order
+
+    @property
+    def hole_position(self) -> FloatArray:
+        """(n, 3) true centre of the hole's mouth, m."""
+        return self._block_position
+
+    @property
+    def contained(self) -> npt.NDArray[np.bool_]:
+        """(n,) whether the peg's axis lies inside the hole's outline, and its bottom not beneath the hole's floor."""
+        walls = np.stack([hole_walls(self._scene.part, c) for c in np.unique(self.clearance)])
+        of_cell = walls[np.searchsorted(np.unique(self.clearance), self.clearance)]
+        offset = self.offset
+        along = np.cos(of_cell[:, :, 0]) * offset[:, :1] + np.sin(of_cell[:, :, 0]) * offset[:, 1:]
+        inside = np.logical_and.reduce(along <= of_cell[:, :, 1], axis=1)
+        return inside & (self.depth <= HOLE_DEPTH_M + FLOOR_GIVE_M)
+
+    @property
+    def true_force(self) -> FloatArray:
+        """(n,) resultant of the true load on the flange, N: contact, weight and inertia."""
+        return np.sqrt((self._load[:, :3] ** 2).sum(axis=1))
+
+    def momentum(self, cell: int = 0) -> tuple[float, float, float]:
+        """Linear momentum of one cell's arm and what it carries, base frame, kg·m/s."""
+        moving = self._moving
+        x0, y0, z0 = self._centre[cell].tolist()
+        px = py = pz = 0.0
+        for mass, (x, y, z), (wx, wy, wz, vx, vy, vz) in zip(  # velocities at the centre of mass of the whole
+            self._mass[cell, moving].tolist(),
+            self._body_centre[cell, moving].tolist(),
+            self._body_twist[cell, moving].tolist(),
+            strict=True,
+        ):
+            px += mass * (vx + wy * (z - z0) - wz * (y - y0))
+            py += mass * (vy + wz * (x - x0) - wx * (z - z0))
+            pz += mass * (vz + wx * (y - y0) - wy * (x - x0))
+        return px, py, pz
+
+    def _measure(self) -> None:
+        self.joints = self._qpos[:, :6].copy()
+        self.position = self._tcp_position.copy()
+        self.rotation = self._tcp_rotation.copy()

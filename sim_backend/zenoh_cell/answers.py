@@ -1,0 +1,137 @@
+"""What a simulated cell answers to each query: bytes in, bytes out, no transport and no thread."""
+
+import json
+from typing import Any, cast
+
+import numpy.typing as npt
+
+from sim_backend.zenoh_cell.cell import SimulatedCell
+from wire import records as wire
+from wire.task import Task
+
+MAX_TICKS = 5000
+"""Largest number of ticks in one `advance`: 10 s of simulated time, 3 MB of reply."""
+MAX_COMMANDS = 1000
+"""Largest number of commands in one message."""
+MAX_OBJECT_BYTES = 4096
+"""Largest JSON object of a request."""
+
+_COMMAND_KINDS = tuple(int(kind) for kind in wire.Kind if kind not in (wire.Kind.STATE, wire.Kind.CAMERA))
+
+
+class RequestError(ValueError):
+    """A request that cannot be carried out and has changed nothing; the text is the reply to the client."""
+
+
+def read_commands(payload: bytes) -> list[npt.NDArray[Any]]:
+    """Read commands off the wire.
+
+    Args:
+        payload: one or more `wire.COMMAND` records.
+
+    Returns:
+        n read-only records of `wire.COMMAND`, shape (), each of a kind that is a command. Values are not judged here.
+
+    Raises:
+        wire.WireError: not that.
+    """
+    commands = wire.decode(payload, wire.COMMAND)
+    if len(commands) > MAX_COMMANDS:
+        raise wire.WireError(f"{len(commands)} commands in one message, at most {MAX_COMMANDS}")
+    for kind in commands["kind"]:
+        if kind not in _COMMAND_KINDS:
+            raise wire.WireError(f"kind {int(kind)} is not a command, want one of {_COMMAND_KINDS}")
+    return [commands[index, ...] for index in range(len(commands))]
+
+
+def advance(cell: SimulatedCell, parameters: str, payload: bytes) -> bytes:
+    """Apply commands in their order, then let simulated time pass.
+
+    Args:
+        cell: the world to advance.
+        parameters: `ticks=N`, N from 1 to `MAX_TICKS`.
+        payload: zero or more `wire.COMMAND` records.
+
+    Returns:
+        N records of `wire.STATE`, one per tick.
+
+    Raises:
+        RequestError: the request cannot be read.
+    """
+    ticks = _read_ticks(parameters)
+    try:
+        commands = read_commands(payload) if payload else []
+    except wire.WireError as error:
+        raise RequestError(f"advance: {error}") from error
+    for command in commands:
+        cell.apply(command)
+    return b"".join([cell.tick().tobytes() for _ in range(ticks)])
+
+
+def read_object(payload: bytes, request: str) -> dict[str, Any]:
+    """Read the JSON object of a request.
+
+    Args:
+        payload: of the request, at most `MAX_OBJECT_BYTES`.
+        request: its name, for the error.
+
+    Raises:
+        RequestError: not such an object, or too long.
+    """
+    if len(payload) > MAX_OBJECT_BYTES:
+        raise RequestError(f"{request}: a payload of {len(payload)} bytes, at most {MAX_OBJECT_BYTES}")
+    try:
+        document = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise RequestError(f"{request}: the payload is not JSON: {error}") from error
+    if not isinstance(document, dict):
+        raise RequestError(f"{request}: the payload must be a JSON object")
+    return cast(dict[str, Any], document)
+
+
+def read_task(payload: bytes) -> Task:
+    """Read the task of a reset.
+
+    Args:
+        payload: JSON object of a `Task`, such as `{"seed": 0}`.
+
+    Raises:
+        RequestError: not such an object, or a field is unknown, missing or out of range; the text names it.
+    """
+    document = read_object(payload, "reset")
+    try:
+        return Task.from_json(document)
+    except ValueError as error:
+        raise RequestError(f"reset: {error}") from error
+
+
+def reset(cell: SimulatedCell, payload: bytes) -> bytes:
+    """Lay the world out anew.
+
+    Args:
+        cell: the world to lay out.
+        payload: JSON object of a `Task`.
+
+    Returns:
+        One record of `wire.STATE`.
+
+    Raises:
+        RequestError: as `read_task`; or the task cannot be laid out.
+    """
+    task = read_task(payload)
+    try:
+        return cell.reset(task).tobytes()
+    except ValueError as error:
+        raise RequestError(f"reset: {error}") from error
+
+
+def truth(cell: SimulatedCell) -> bytes:
+    """The world's true state as JSON."""
+    return json.dumps(cell.truth()).encode()
+
+
+def _read_ticks(parameters: str) -> int:
+    name, _, value = parameters.partition("=")
+    if name == "ticks" and value.isascii() and value.isdigit() and len(value) <= 9 and 1 <= int(value) <= MAX_TICKS:
+        return int(value)
+    raise RequestError(f"advance: parameters must be ticks=N with N from 1 to {MAX_TICKS}, not {parameters[:80]!r}")

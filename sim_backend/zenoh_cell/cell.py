@@ -1,0 +1,151 @@
+"""One simulated cell behind the wire schema: what the Zenoh server and the in-process driver both talk to."""
+
+import secrets
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from sim_backend.world import quaternion
+from sim_backend.world.arm import Limits
+from sim_backend.world.world import World
+from wire import pose
+from wire.arrays import RecordArray
+from wire.records import STATE, TICK_S, Kind, Program, StopReason, new
+from wire.rtde.modes import RobotMode, SafetyMode
+from wire.task import Part, Task
+
+_ENGAGE_RANGES = {
+    "stiffness": (0.0, 1e6),
+    "damping": (1e-6, 1e6),
+    "inertia": (1e-6, 1e6),
+    "max_speed": (0.0, 10.0),
+    "max_step": (0.0, 10.0),
+    "workspace": (-10.0, 10.0),
+    "force_ceiling": (1e-6, 1e4),
+    "target_age": (TICK_S, 60.0),
+}
+"""What the control program can compute with, in the units of the wire: far wider than sane. Else ENGAGE is ignored."""
+
+_ONLY = np.array([0])
+
+
+class SimulatedCell:
+    """A world of one cell that reads commands and writes states.
+
+    Args:
+        part: peg and hole.
+        epoch: identity of this world; drawn at random unless given.
+    """
+
+    def __init__(self, part: Part = "tr", epoch: int | None = None) -> None:
+        self.part: Part = part
+        self.epoch = epoch if epoch is not None else secrets.randbits(63)
+        self._world = World(1, part)
+        self._task = Task(0, part)
+        self._episode = 0
+        self._seq = 0
+        self._client = 0
+        self._command_seq = 0
+
+    def model(self) -> mujoco.MjModel:
+        """Copy the MuJoCo model of the present episode: its clearance, grasp and plant."""
+        return self._world.model()
+
+    def data(self) -> mujoco.MjData:
+        """The present state as MuJoCo data, for rendering; it goes with `model()`."""
+        return self._world.data()
+
+    def reset(self, task: Task) -> RecordArray:
+        """Lay the world out anew; the control program is idle afterwards. Returns the state before its first tick.
+
+        Raises:
+            ValueError: the task's part is another, or a value is out of range.
+        """
+        task.check()
+        if task.part != self.part:
+            self._world = World(1, task.part)
+            self.part = task.part
+        self._world.reset(_ONLY, [task])
+        self._task = task
+        self._episode += 1
+        self._client = self._command_seq = 0
+        return self.state()
+
+    def apply(self, command: RecordArray) -> None:
+        """Carry out one `wire.COMMAND` record. Never raises: what is not for this world or not allowed is ignored."""
+        kind, client = int(command["kind"]), int(command["client"])
+        arm = self._world.arm
+        if kind == Kind.STOP:
+            self._world.stop(_ONLY)
+            return
+        if int(command["epoch"]) != self.epoch:
+            return
+        if kind == Kind.ENGAGE:
+            self._engage(command, client)
+        elif kind == Kind.TARGET:
+            seq = int(command["seq"])
+            if client != self._client or seq <= self._command_seq:
+                return
+            with np.errstate(over="ignore", invalid="ignore"):  # the arm refuses what is not finite
+                turn = quaternion.from_rotvec(np.asarray(command["rotvec"], float)[None])
+                if arm.set_target(_ONLY, np.asarray(command["position"], float)[None], turn)[0]:
+                    self._command_seq = seq
+        elif kind == Kind.ZERO_FT and arm.program[0] == Program.IDLE:
+            self._world.zero_ft(_ONLY)
+        elif kind == Kind.UNLOCK:
+            arm.unlock(_ONLY)
+
+    def tick(self) -> RecordArray:
+        """Advance by one tick; returns the new state, (1,) of `wire.STATE`."""
+        self._world.tick()
+        self._seq += 1
+        return self.state()
+
+    def state(self) -> RecordArray:
+        """The present state, (1,) of `wire.STATE`."""
+        world, arm = self._world, self._world.arm
+        record = new(STATE, Kind.STATE)
+        row = record[0]
+        row["epoch"], row["episode"], row["seq"] = self.epoch, self._episode, self._seq
+        row["time_s"] = self._seq * TICK_S
+        row["q"], row["qd"] = world.joints[0], world.joint_speeds[0]
+        row["tcp_position"], row["tcp_rotvec"] = world.position[0], pose.rotvec_from_rotation(world.rotation[0])
+        row["tcp_velocity"] = world.twist[0]
+        row["target_position"] = arm.target_position[0]
+        row["target_rotvec"] = quaternion.to_rotvec(arm.target_quaternion)[0]
+        row["wrench"], row["ft_raw"] = world.sensor.wrench[0], world.sensor.raw[0]
+        row["hole_estimate"] = world.estimate[0]
+        row["peak_force"] = arm.peak_force[0]
+        row["command_seq"], row["client"] = self._command_seq, self._client
+        program = int(arm.program[0])
+        row["program"], row["stop_reason"] = program, arm.stop_reason[0]
+        row["robot_mode"] = RobotMode.RUNNING
+        row["safety_mode"] = SafetyMode.PROTECTIVE_STOP if program == Program.PROTECTIVE_STOP else SafetyMode.NORMAL
+        row["saturated"] = world.sensor.saturated[0]
+        return record
+
+    def truth(self) -> dict[str, Any]:
+        """What only the simulation knows: for evaluation and tests, never for the control process."""
+        return {"task": self._task.to_json(), **self._world.truth()}
+
+    def _engage(self, command: RecordArray, client: int) -> None:
+        for name, (low, high) in _ENGAGE_RANGES.items():
+            if not ((command[name] >= low) & (command[name] <= high)).all():  # NaN is in no range
+                return
+        stiffness, damping, inertia = (np.asarray(command[name], float) for name in ("stiffness", "damping", "inertia"))
+        scalars = float(command["force_ceiling"]), float(command["target_age"])
+        arm = self._world.arm
+        if arm.program[0] == Program.ENGAGED and client != self._client:
+            arm.stop(_ONLY, StopReason.LEASE)
+            return
+        lower, upper = (tuple(float(x) for x in corner) for corner in command["workspace"])
+        limits = Limits(
+            max_speed=(float(command["max_speed"][0]), float(command["max_speed"][1])),
+            max_step=(float(command["max_step"][0]), float(command["max_step"][1])),
+            workspace=((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])),
+            force_ceiling_n=scalars[0],
+            target_age_s=scalars[1],
+        )
+        if self._world.engage(_ONLY, stiffness, damping, inertia, limits)[0]:
+            self._client, self._command_seq = client, int(command["seq"])

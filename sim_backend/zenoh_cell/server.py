@@ -1,0 +1,208 @@
+"""One simulated cell on a Zenoh session: a single thread owns the world, everything else is queued to it.
+
+Zenoh's own threads only fill bounded channels; they never touch the world, and a full channel holds back its sender.
+"""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any, NoReturn
+
+import numpy.typing as npt
+import zenoh
+
+from sim_backend.metronome import Metronome
+from sim_backend.zenoh_cell import answers
+from sim_backend.zenoh_cell.cell import SimulatedCell
+from wire import keys
+from wire import records as wire
+from wire.realtime import freeze_garbage, has_realtime_scheduling
+
+_QUERY_CAPACITY = 64
+_COMMAND_CAPACITY = 256
+MAX_COMMANDS_PER_TICK = 32
+"""Commands that one tick applies; of more, the newest are kept. STOP is never among those dropped."""
+
+_QUERIES = {"advance": keys.ADVANCE, "reset": keys.RESET, "info": keys.INFO, "truth": keys.TRUTH}
+
+
+class Mode(StrEnum):
+    """Who lets simulated time pass."""
+
+    REAL_TIME = "real-time"
+    LOCKSTEP = "lockstep"
+
+
+@dataclass(slots=True)
+class Counters:
+    """What became of messages and ticks since the start; part of the answer to `info`."""
+
+    ticks: int = 0
+    overruns: int = 0
+    skipped: int = 0
+    worst_lateness_s: float = 0.0
+    commands: int = 0
+    commands_malformed: int = 0
+    commands_dropped: int = 0
+    queries_refused: int = 0
+
+
+def query_keys(world: str, queries: Mapping[str, str]) -> dict[str, zenoh.KeyExpr]:
+    """Return the keys of a world's queries by name.
+
+    Args:
+        world: name of the world in its keys.
+        queries: patterns of `protocol/keys.py` by name.
+
+    Raises:
+        ValueError: `world` cannot stand in a key.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", world):
+        raise ValueError(f"world {world!r}: use letters, digits, '-', '_' and '.', at most 64")
+    return {name: zenoh.KeyExpr(key.format(world=world)) for name, key in queries.items()}
+
+
+def asked(query: zenoh.Query, keys: Mapping[str, zenoh.KeyExpr]) -> str:
+    """Return the name of the one query that is asked.
+
+    Raises:
+        RequestError: its key names none of `keys`, or several.
+    """
+    names = [name for name, key in keys.items() if query.key_expr.intersects(key)]
+    if len(names) != 1:
+        raise answers.RequestError(f"{query.key_expr} names {len(names)} queries, ask one of {', '.join(keys)}")
+    return names[0]
+
+
+class Server:
+    """Serves one world under `sim/<world>/`; the thread that calls `run` owns the cell."""
+
+    def __init__(
+        self, cell: SimulatedCell, session: zenoh.Session, world: str, mode: Mode, degraded: Sequence[str] = ()
+    ) -> None:
+        """Declare the keys.
+
+        Args:
+            cell: the world, laid out.
+            session: open; the caller closes it after `run`.
+            world: name of the world in its keys.
+            mode: who lets time pass.
+            degraded: what the host refused to grant, for `info`.
+
+        Raises:
+            ValueError: `world` cannot stand in a key.
+        """
+        self.counters = Counters()
+        self._cell = cell
+        self._mode = mode
+        self._degraded = list(degraded)
+        self._keys = query_keys(world, _QUERIES)
+        self._queries = session.declare_queryable(f"sim/{world}/*", zenoh.handlers.FifoChannel(_QUERY_CAPACITY))
+        if mode is Mode.REAL_TIME:
+            self._commands = session.declare_subscriber(
+                keys.COMMAND.format(world=world), zenoh.handlers.FifoChannel(_COMMAND_CAPACITY)
+            )
+            self._state = session.declare_publisher(
+                keys.STATE.format(world=world),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.REAL_TIME,
+                express=True,
+            )
+
+    def run(self) -> NoReturn:
+        """Serve until an exception, such as a signal handler's SystemExit, ends it; nothing is served afterwards."""
+        try:
+            if self._mode is Mode.REAL_TIME:
+                self._run_in_real_time()
+            while True:
+                self._answer(self._queries.recv())
+        finally:
+            # A Zenoh thread that waits at a full channel would hold up the session's end for ten seconds.
+            self._queries.undeclare()
+            if self._mode is Mode.REAL_TIME:
+                self._commands.undeclare()
+
+    def _run_in_real_time(self) -> NoReturn:
+        freeze_garbage()
+        metronome = Metronome(wire.TICK_S, spin=has_realtime_scheduling())
+        while True:
+            metronome.wait()
+            for command in self._take_commands():
+                self._cell.apply(command)
+            self._state.put(self._cell.tick().tobytes())
+            self.counters.ticks += 1
+            self.counters.overruns = metronome.overruns
+            self.counters.skipped = metronome.skipped
+            self.counters.worst_lateness_s = metronome.worst_lateness_s
+            query = self._queries.try_recv()
+            if query is not None and self._answer(query):
+                metronome.restart()
+
+    def _take_commands(self) -> list[npt.NDArray[Any]]:
+        """Return what arrived since the last tick: stops first, then what came after the last stop, in order."""
+        stops: list[npt.NDArray[Any]] = []
+        others: list[npt.NDArray[Any]] = []
+        for _ in range(_COMMAND_CAPACITY):
+            sample = self._commands.try_recv()
+            if sample is None:
+                break
+            try:
+                commands = answers.read_commands(sample.payload.to_bytes())
+            except wire.WireError:
+                self.counters.commands_malformed += 1
+                continue
+            for command in commands:
+                if command["kind"] == wire.Kind.STOP:
+                    self.counters.commands_dropped += len(others)
+                    others.clear()
+                    stops.append(command)
+                else:
+                    others.append(command)
+        kept = stops[-MAX_COMMANDS_PER_TICK:] + others[-MAX_COMMANDS_PER_TICK:]
+        self.counters.commands += len(kept)
+        self.counters.commands_dropped += len(stops) + len(others) - len(kept)
+        return kept
+
+    def _answer(self, query: zenoh.Query) -> bool:
+        """Reply to one query; return whether it laid out the world, which takes longer than a tick."""
+        with query:
+            try:
+                name = asked(query, self._keys)
+                reply = self._carry_out(name, query)
+            except answers.RequestError as error:
+                self.counters.queries_refused += 1
+                query.reply_err(str(error), encoding=zenoh.Encoding.TEXT_PLAIN)
+                return False
+            query.reply(self._keys[name], reply, express=True)
+            return name == "reset"
+
+    def _carry_out(self, name: str, query: zenoh.Query) -> bytes:
+        payload = query.payload.to_bytes() if query.payload is not None else b""
+        if name == "reset":
+            if self._mode is Mode.REAL_TIME:
+                self.counters.commands_dropped += len(self._take_commands())  # meant for the episode that ends here
+            return answers.reset(self._cell, payload)
+        if name == "truth":
+            return answers.truth(self._cell)
+        if name == "info":
+            return self._info()
+        if self._mode is Mode.REAL_TIME:
+            raise answers.RequestError("advance: this world runs in real time and lets its time pass by itself")
+        reply = answers.advance(self._cell, str(query.parameters), payload)
+        self.counters.ticks += len(reply) // wire.STATE.itemsize
+        self.counters.commands += len(payload) // wire.COMMAND.itemsize
+        return reply
+
+    def _info(self) -> bytes:
+        document = {
+            "version": wire.VERSION,
+            "mode": self._mode,
+            "epoch": self._cell.epoch,
+            "tick_s": wire.TICK_S,
+            "part": self._cell.part,
+            "degraded": self._degraded,
+            "counters": asdict(self.counters),
+        }
+        return json.dumps(document).encode()

@@ -1,0 +1,43 @@
+import pytest
+
+from service.policy.contract import PolicyContract
+from service.policy.observation import ENTRIES, Mode, Need
+from service.safety import dsl
+from training.environment import design
+
+TOGETHER: list[tuple[Mode, dsl.Mode]] = [
+    *((mode, lock) for mode in ("VFTM", "FTM") for lock in dsl.Mode.__args__),
+    ("VM", "off"),
+]
+
+
+@pytest.mark.parametrize(("mode", "lock"), TOGETHER)
+def test_every_mode_and_lock_that_go_together_have_a_contract_that_survives_its_file(
+    mode: Mode, lock: dsl.Mode
+) -> None:
+    contract = design.contract_for(mode, lock)
+    assert PolicyContract.from_json(contract.to_json()) == contract
+    assert (contract.mode, contract.dsl.mode) == (mode, lock)
+
+
+def test_vm_feels_nothing_and_has_no_lock() -> None:
+    contract = design.contract_for("VM")
+    assert contract.dsl.mode == "off"
+    assert not any(Need.FORCE_TORQUE in ENTRIES[entry.name].needs for entry in contract.observation)
+
+
+@pytest.mark.parametrize("lock", ["paper", "peck", "sliding"])
+def test_vm_with_a_lock_is_refused(lock: dsl.Mode) -> None:
+    with pytest.raises(ValueError, match=r"VM bypasses the lock"):
+        design.contract_for("VM", lock)
+
+
+def test_only_a_pecking_policy_has_no_z() -> None:
+    names = {lock: [entry.name for entry in design.contract_for("VFTM", lock).action] for lock in dsl.Mode.__args__}
+    assert names.pop("peck") == ["dx", "dy", "dyaw"]
+    assert all(components == ["dx", "dy", "dz", "dyaw"] for components in names.values())
+
+
+def test_the_shipped_contract_is_vftm_under_the_papers_lock() -> None:
+    contract = design.vftm_dsl()
+    assert (contract.name, contract.parts, contract.mode, contract.dsl) == ("tr-vftm-dsl", ("tr",), "VFTM", design.LOCK)

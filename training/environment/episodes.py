@@ -1,0 +1,37 @@
+"""Which episodes an environment plays: tasks drawn without end for training, a fixed list for a test."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wire.task import Conditions, Part, Task
+
+FIRST_TRAINING_SEED = 2**32
+"""Training draws its seeds from here up; every evaluation uses seeds below. No seed can be in both."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskSource:
+    """Draws training tasks.
+
+    Attributes:
+        part: peg and hole.
+        clearance_m: range of clearances per face; the tight end is likelier (a uniform draw to the power 1.5).
+        conditions: distributions of an episode.
+        randomise_plant: friction, stiffness, delay, mass and contact vary.
+    """
+
+    part: Part = "tr"
+    clearance_m: tuple[float, float] = (0.8e-3, 2.6e-3)
+    conditions: Conditions = "standard"
+    randomise_plant: bool = True
+
+    def draw(self, rng: np.random.Generator, count: int) -> list[Task]:
+        """Draw `count` tasks, seeds from `FIRST_TRAINING_SEED` up."""
+        low, high = self.clearance_m
+        seeds = rng.integers(FIRST_TRAINING_SEED, 2**62, count)
+        clearances = low + (high - low) * rng.uniform(size=count) ** 1.5
+        return [
+            Task(int(seed), self.part, float(c), self.conditions, self.randomise_plant)
+            for seed, c in zip(seeds, clearances, strict=True)
+        ]

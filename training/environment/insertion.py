@@ -1,0 +1,346 @@
+"""n peg insertions at once, as the deployed cell runs them: the same world, observation, action, lock and bounds.
+
+This is the environment without any framework. `peg_in_hole` gives it Gymnasium's shape, `vector` plays it without end
+to learn from, and `training.evaluation.evaluate` plays whole episodes on it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from service.policy.contract import PolicyContract
+from service.policy.observation import Measurement
+from service.safety import bounds, dsl
+from service.safety.pose import rotate, rotvec_from_yaw, wrap, yaw_and_tilt
+from sim_backend.world import quaternion
+from sim_backend.world.arm import Limits
+from sim_backend.world.scene import NOMINAL_HOLE_M
+from sim_backend.world.world import START_YAW_RAD, World
+from training.environment import reward
+from training.environment.reward import RewardName, Situation
+from wire import pose
+from wire.arrays import BoolArray, CellIndices, FloatArray
+from wire.limits import TILT_RAD, TORQUE_CEILING_NM, YAW_HALF_RANGE_RAD
+from wire.records import TICK_S, Program
+from wire.task import Part, Task
+
+SUCCESS_DEPTH_M = 2.5e-3
+"""The paper's: the peg's bottom this far below the hole's mouth."""
+GOAL_DEPTH_M = 4.0e-3
+"""Depth that ends an episode: beyond the deployed cell's criterion, so that a policy has been where that takes it."""
+PRIVILEGED_SIZE = 10
+AIM = slice(2, 6)
+"""Where `Insertions.privileged` says how the peg must move to be right above the hole."""
+SLIP_STEPS = (0, 75)
+"""Policy steps between which a hole slips, where holes do; before the first contact it is the camera that errs more."""
+SLIP_SIGMA_M = 1.5e-3
+SLIP_YAW_RAD = float(np.deg2rad(60))
+SLIP_DEPTH_M = 1e-4
+"""A hole slips only while the peg is less deep in it."""
+LIMITS = Limits()
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One step of every cell; arrays (n,) unless said otherwise.
+
+    Attributes:
+        observation: (n, size) float32, raw units, after the step.
+        reward: of this step.
+        terminated: inserted, or stopped by a fault.
+        truncated: the time is up.
+        success: the peg is in: `SUCCESS_DEPTH_M` below the mouth with its axis inside the hole, at the end of the step.
+        fault: a ceiling of force or torque, the limit of the tilt, or the arm's controller stopped it.
+        peak_force: largest resultant of the episode so far over every sample, N.
+        depth: m.
+        z_lock: m, NaN without a lock.
+        phase: of the lock.
+        clamped: a command bound acted.
+    """
+
+    observation: npt.NDArray[np.float32]
+    reward: FloatArray
+    terminated: BoolArray
+    truncated: BoolArray
+    success: BoolArray
+    fault: BoolArray
+    peak_force: FloatArray
+    depth: FloatArray
+    z_lock: FloatArray
+    phase: npt.NDArray[np.int32]
+    clamped: BoolArray
+
+
+class Insertions:
+    """n cells under one contract.
+
+    Args:
+        contract: what the policy sees, does and is limited by.
+        n: how many cells.
+        part: peg and hole of all of them.
+        threads: that step the physics.
+        force_ceiling_n: resultant at which the cell stops, N.
+        reward_name: which reward.
+        force_cost_per_n: in the reward `potential`, of the episode's peak above `reward.FORCE_FREE_N`.
+        slips: share of the episodes in which the hole slips once to another place and yaw; for training.
+        misreads: share of the episodes in which the policy reads the torque about z times a factor within ±1: by what
+            it has learned of one peg's torques another peg misleads it; for training.
+    """
+
+    def __init__(
+        self,
+        contract: PolicyContract,
+        n: int,
+        part: Part = "tr",
+        threads: int = 1,
+        force_ceiling_n: float = 30.0,
+        reward_name: RewardName = "potential",
+        force_cost_per_n: float = reward.FORCE_COST_PER_N,
+        slips: float = 0.0,
+        misreads: float = 0.0,
+    ) -> None:
+        self.contract = contract
+        self.n = n
+        self.world = World(n, part, threads)
+        self._reward_name = reward_name
+        self._force_cost_per_n = force_cost_per_n
+        self._slips = slips
+        self._slip_at = np.full(n, -1)
+        self._slip = np.zeros((n, 3))
+        self._misreads = misreads
+        self._torque_read = np.ones(n)
+        self._limits = Limits(force_ceiling_n=force_ceiling_n)
+        law = contract.compliance
+        self._law = np.array(law.stiffness), np.array(law.damping), np.array(law.inertia)
+        self._lock = contract.dsl
+        self._actions = contract.action_map()
+        self._builder = contract.observation_builder()
+        self._bounds = command_bounds(contract.ticks_per_step, self._limits)
+        self._memory = self._builder.begin((n,))
+        self._lock_state = dsl.DslState.begin((n,), LIMITS.workspace[0][2])
+        self._window = np.zeros((contract.ticks_per_step, n, 6))
+        self._target_position, self._target_yaw = np.zeros((n, 3)), np.zeros(n)
+        self._tilt = np.zeros((n, 2))
+        self._previous_action = np.zeros((n, 4))
+        self._potential = np.zeros(n)
+        self._nominal = np.broadcast_to(np.array(NOMINAL_HOLE_M), (n, 3))
+        self._start_yaw = np.full(n, START_YAW_RAD)
+        self.steps = np.zeros(n, np.int64)
+        self.peak_force = np.zeros(n)
+        self.observation = np.zeros((n, self._builder.size), np.float32)
+
+    @property
+    def observation_size(self) -> int:
+        return self._builder.size
+
+    @property
+    def action_size(self) -> int:
+        return self._actions.size
+
+    def reset(self, cells: CellIndices, tasks: Sequence[Task]) -> npt.NDArray[np.float32]:
+        """Begin new episodes in `cells` (k,): the scripted approach has ended above where the hole is thought to be.
+
+        That is the camera's estimate, in mode FTM the nominal centre. The sensor is zeroed, the arm engaged.
+
+        Returns:
+            (n, size) observations; rows of other cells are as they were.
+        """
+        world = self.world
+        world.reset(cells, tasks)
+        self._mislead(cells, tasks)
+        known = self._nominal[cells] if self.contract.mode == "FTM" else world.camera(cells)
+        hover = known + np.column_stack([np.zeros((len(cells), 2)), world.hover(cells)])
+        world.place(cells, hover, self._start_yaw[cells])
+        world.zero_ft(cells)
+        world.engage(cells, *self._law, self._limits)
+        mask = np.zeros(self.n, np.bool_)
+        mask[cells] = True
+        self._memory = self._memory.reset(mask)
+        self._lock_state = self._lock_state.reset(mask)
+        self._window[:, cells] = 0.0  # a cell has felt noise by then; nothing here can feel while other cells stand
+        self._previous_action[cells] = 0.0
+        self._target_position[cells] = world.position[cells]
+        self._target_yaw[cells] = pose.yaw_of(world.rotation[cells])
+        self.steps[cells] = 0
+        self.peak_force[cells] = 0.0
+        self._shape_anew(cells)
+        self._memory, seen = self._builder.build(self._memory, self._measure(), mask)
+        self.observation = np.where(mask[:, None], seen, self.observation)
+        return self.observation
+
+    def step(self, action: npt.ArrayLike) -> Outcome:
+        """One policy step of every cell, also of those that have ended; `action` (n, action size) in [-1, 1]."""
+        world, contract = self.world, self.contract
+        self._slip_holes()
+        action = np.asarray(action, np.float64)
+        yaw = np.asarray(pose.yaw_of(world.rotation))
+        wrench = self._window[-contract.wrench_window_ticks :].mean(0)
+        displacement = self._actions.displacement(action, yaw)
+        self._lock_state, locked = dsl.step(self._lock, self._lock_state, world.position, wrench, displacement)
+        bounded = bounds.apply(
+            self._bounds,
+            world.position,
+            yaw,
+            locked.position,
+            yaw + locked.dyaw,
+            self._target_position,
+            self._target_yaw,
+            np.linalg.norm(self._tilt, axis=-1),
+        )
+        self._target_position, self._target_yaw = bounded.position, bounded.yaw
+        turn = quaternion.from_rotvec(rotvec_from_yaw(bounded.yaw))
+        everyone = np.arange(self.n)
+        world.arm.set_target(everyone, bounded.position, turn)
+        for tick in range(contract.ticks_per_step):
+            world.tick()
+            self._window[tick] = world.sensor.wrench
+        force = np.sqrt((self._window[..., :3] ** 2).sum(-1)).max(0)
+        np.maximum(self.peak_force, force, out=self.peak_force)
+        self.steps += 1
+        self._previous_action = self._actions.unit(action)
+        self._memory, self.observation = self._builder.build(self._memory, self._measure())
+
+        torque = np.sqrt((self._window[..., 3:] ** 2).sum(-1)).max(0)
+        fault = (world.arm.program != Program.ENGAGED) | bounded.tilt | (torque >= TORQUE_CEILING_NM)
+        depth = world.depth
+        inside = world.contained & ~fault
+        arrived = inside & (depth >= GOAL_DEPTH_M)
+        terminated = arrived | fault
+        truncated = ~terminated & (self.steps >= contract.max_steps)
+        success = inside & (depth >= SUCCESS_DEPTH_M) & (terminated | truncated)
+        situation = self._situation(arrived, fault)
+        after = reward.potential(situation, GOAL_DEPTH_M, self._force_cost_per_n)
+        if self._reward_name == "paper":
+            earned = reward.paper_reward(situation)
+        else:
+            earned = reward.potential_reward(self._potential, after, situation)
+        self._potential = after
+        return Outcome(
+            observation=self.observation,
+            reward=earned,
+            terminated=terminated,
+            truncated=truncated,
+            success=success,
+            fault=fault,
+            peak_force=self.peak_force.copy(),
+            depth=depth.copy(),
+            z_lock=locked.z_lock,
+            phase=locked.phase,
+            clamped=bounded.clamped,
+        )
+
+    def privileged(self) -> npt.NDArray[np.float32]:
+        """(n, PRIVILEGED_SIZE) what only the simulation knows, each about -1 … 1: for a critic, never for a policy."""
+        world = self.world
+        yaw_error = self._yaw_error()
+        order = max(self.world.symmetry_order, 1)
+        aim = rotate(world.hole_yaw - np.asarray(pose.yaw_of(world.rotation)), -world.offset)
+        return np.column_stack(
+            [
+                np.clip(world.offset / 0.01, -3, 3),
+                np.clip(aim / 5e-3, -3, 3),
+                np.sin(order * yaw_error),
+                np.cos(order * yaw_error),
+                np.clip(world.depth / 0.01, -3, 1),
+                world.clearance / 2e-3,
+                world.friction,
+                self.peak_force / 20.0,
+            ]
+        ).astype(np.float32)
+
+    def _mislead(self, cells: CellIndices, tasks: Sequence[Task]) -> None:
+        """Draw by their seeds what only training does to episodes."""
+        if not (self._slips or self._misreads):
+            return
+        for cell, task in zip(cells, tasks, strict=True):
+            rng = np.random.default_rng([task.seed, 1])
+            self._slip_at[cell] = rng.integers(*SLIP_STEPS) if rng.uniform() < self._slips else -1
+            self._slip[cell] = *rng.normal(0.0, SLIP_SIGMA_M, 2), rng.uniform(-SLIP_YAW_RAD, SLIP_YAW_RAD)
+            self._torque_read[cell] = rng.uniform(-1.0, 1.0) if rng.uniform() < self._misreads else 1.0
+
+    def _slip_holes(self) -> None:
+        """Move the holes that are due; that they were nearer or farther before earns nothing."""
+        due = np.flatnonzero((self._slip_at >= 0) & (self.steps >= self._slip_at) & (self.world.depth < SLIP_DEPTH_M))
+        if not due.size:
+            return
+        self._slip_at[due] = -1
+        position = self.world.hole_position[due]
+        position[:, :2] += self._slip[due, :2]
+        self.world.move_hole(due, position, self._slip[due, 2])
+        self._shape_anew(due)
+
+    def _shape_anew(self, cells: CellIndices) -> None:
+        """Let the reward of `cells` count from where they are now."""
+        nobody = np.zeros(self.n, np.bool_)
+        now = reward.potential(self._situation(nobody, nobody), GOAL_DEPTH_M, self._force_cost_per_n)
+        self._potential[cells] = now[cells]
+
+    def _yaw_error(self) -> FloatArray:
+        """(n,) from the nearest matching yaw, rad; zero for a round peg."""
+        order = self.world.symmetry_order
+        if order == 0:
+            return np.zeros(self.n)
+        error = np.asarray(pose.yaw_of(self.world.rotation)) - self.world.hole_yaw
+        return np.asarray(wrap(error * order)) / order
+
+    def _situation(self, success: BoolArray, fault: BoolArray) -> Situation:
+        return Situation(self.world.offset, self._yaw_error(), self.world.depth, self.peak_force, success, fault)
+
+    def _measure(self) -> Measurement:
+        world = self.world
+        _, self._tilt = yaw_and_tilt(pose.rotvec_from_rotation(world.rotation))
+        window = self._window
+        if self._misreads:
+            window = window.copy()
+            window[..., 5] *= self._torque_read
+        return Measurement(
+            position=world.position,
+            yaw=np.asarray(pose.yaw_of(world.rotation)),
+            tilt=self._tilt,
+            wrench_window=window,
+            hole_estimate=world.estimate,
+            nominal_hole=self._nominal,
+            target_position=self._target_position,
+            target_yaw=self._target_yaw,
+            start_yaw=self._start_yaw,
+            z_lock=self._lock_state.z_lock,
+            contact_z=self._lock_state.z_contact0,
+            phase=self._lock_state.phase,
+            previous_action=self._previous_action,
+            last_joint=world.joints[:, 5],
+        )
+
+
+def command_bounds(ticks_per_step: int, limits: Limits) -> bounds.BoundsParameters:
+    """The service's command bounds, at the limits that the arm's own program has and a cell's defaults."""
+    lower, upper = limits.workspace
+    return bounds.BoundsParameters(
+        period_s=ticks_per_step * TICK_S,
+        step_m=limits.max_step[0],
+        step_rad=limits.max_step[1],
+        speed_mps=limits.max_speed[0],
+        speed_radps=limits.max_speed[1],
+        leash_m=limits.max_step[0],
+        leash_rad=limits.max_step[1],
+        workspace_lower=lower,
+        workspace_upper=upper,
+        yaw_centre_rad=START_YAW_RAD,
+        yaw_half_range_rad=YAW_HALF_RANGE_RAD,
+        tilt_rad=TILT_RAD,
+    )
+
+
+def info_of(outcome: Outcome) -> dict[str, Any]:
+    """What users of the environment look at after each step; `z_lock` is -inf where nothing limits the depth."""
+    return {
+        "is_success": outcome.success,
+        "fault": outcome.fault,
+        "peak_force": outcome.peak_force,
+        "depth": outcome.depth,
+        "z_lock": np.where(np.isnan(outcome.z_lock), -np.inf, outcome.z_lock),
+        "phase": outcome.phase,
+        "clamped": outcome.clamped,
+    }

@@ -1,0 +1,147 @@
+"""Cells that play one episode after another, with a privileged view for the critic."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from training.environment.episodes import TaskSource
+from training.environment.insertion import PRIVILEGED_SIZE, Insertions
+from wire.arrays import Float32Array
+
+Job = Callable[[], Any]
+"""Work beside the training, picklable and with a result that is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """Episodes that ended in a step, or in several; arrays (k,).
+
+    Attributes:
+        success: the peg was in.
+        fault: the force ceiling or the arm's controller ended it.
+        steps: taken.
+        peak_force: largest resultant over every sample, N.
+        episode_return: sum of the rewards.
+    """
+
+    success: npt.NDArray[np.bool_]
+    fault: npt.NDArray[np.bool_]
+    steps: npt.NDArray[np.int64]
+    peak_force: npt.NDArray[np.float64]
+    episode_return: npt.NDArray[np.float64]
+
+    @classmethod
+    def joined(cls, parts: "list[Ended]") -> "Ended":
+        """Return all episodes of `parts`, which must not be empty."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__))
+
+    def latest(self, count: int) -> "Ended":
+        """Return the last `count` of them."""
+        return Ended(*(getattr(self, name)[-count:] for name in self.__slots__))
+
+    def __len__(self) -> int:
+        return len(self.success)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step of every cell; arrays (n, …).
+
+    Attributes:
+        features: (n, size) float32, what the policy sees, in raw units, then `PRIVILEGED_SIZE` numbers for the critic.
+            Of the next episode's beginning where one has ended.
+        reward: float32.
+        done: an episode ended, by success, fault or time.
+        ended: how.
+    """
+
+    features: Float32Array
+    reward: Float32Array
+    done: npt.NDArray[np.bool_]
+    ended: Ended
+
+
+class EndlessCells(Protocol):
+    """Cells that begin a new episode as soon as one ends, in this process or in others.
+
+    Attributes:
+        n: how many.
+        feature_size: of the features of each.
+        action_size: of the action of each.
+        workers: processes that they are spread over, this one included.
+    """
+
+    n: int
+    feature_size: int
+    action_size: int
+    workers: int
+
+    def reset(self) -> Float32Array:
+        """Begin an episode in every cell; (n, feature_size)."""
+        ...
+
+    def step(self, action: npt.NDArray[Any]) -> Step:
+        """One policy step of every cell; `action` (n, action_size) in [-1, 1]."""
+        ...
+
+    def run(self, jobs: Sequence[Job]) -> list[Any]:
+        """Do `jobs` where the cells are, which stand still meanwhile; return the results in order."""
+        ...
+
+    def close(self) -> None:
+        """End what steps the cells; may be called again."""
+        ...
+
+
+class EndlessInsertions:
+    """`Cells` in this process.
+
+    Args:
+        insertions: the cells.
+        tasks: where episodes come from.
+        seed: of their draw.
+    """
+
+    def __init__(self, insertions: Insertions, tasks: TaskSource, seed: int | list[int] = 0) -> None:
+        self._cells = insertions
+        self._tasks = tasks
+        self._rng = np.random.default_rng(seed)
+        self._returns = np.zeros(insertions.n)
+        self.n = insertions.n
+        self.workers = 1
+        self.feature_size = insertions.observation_size + PRIVILEGED_SIZE
+        self.action_size = insertions.action_size
+
+    def reset(self) -> Float32Array:
+        self._cells.reset(np.arange(self.n), self._tasks.draw(self._rng, self.n))
+        self._returns[:] = 0.0
+        return self._features()
+
+    def step(self, action: npt.NDArray[Any]) -> Step:
+        outcome = self._cells.step(action)
+        done = outcome.terminated | outcome.truncated
+        self._returns += outcome.reward
+        over = np.flatnonzero(done)
+        ended = Ended(
+            outcome.success[over],
+            outcome.fault[over],
+            self._cells.steps[over],
+            outcome.peak_force[over],
+            self._returns[over],
+        )
+        if over.size:
+            self._returns[over] = 0.0
+            self._cells.reset(over, self._tasks.draw(self._rng, over.size))
+        return Step(self._features(), outcome.reward.astype(np.float32), done, ended)
+
+    def run(self, jobs: Sequence[Job]) -> list[Any]:
+        return [job() for job in jobs]
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def _features(self) -> Float32Array:
+        return np.concatenate([self._cells.observation, self._cells.privileged()], axis=1)

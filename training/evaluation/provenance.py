@@ -1,0 +1,96 @@
+"""Where a figure or a model comes from: commit, machine, versions, and the sources that decide an episode."""
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+from collections.abc import Iterable
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+PACKAGES = ("mujoco", "numpy", "onnxruntime", "torch")
+ROOT = Path(__file__).parents[2]
+CODE = ("wire", "service", "sim_backend", "training")
+DECIDING = (
+    *(f"service/policy/{name}.py" for name in ("action", "contract", "model", "observation", "onnx_file", "window")),
+    *(f"service/safety/{name}.py" for name in ("bounds", "dsl", "pose")),
+    *(f"sim_backend/world/{name}.py" for name in ("arm", "compliance", "conditions", "kinematics", "parts")),
+    *(f"sim_backend/world/{name}.py" for name in ("quaternion", "scene", "sensor", "servo", "world")),
+    *(f"wire/{name}.py" for name in ("limits", "pose", "records", "task")),
+    "training/evaluation/evaluate.py",
+    *(f"training/environment/{name}.py" for name in ("insertion", "reward")),
+)
+"""What an episode in the batched environment depends on, besides the policy's file; a test looks for missing ones."""
+DEPLOYED = (
+    *(
+        f"{package}/**/*.{kind}"
+        for package in ("wire", "service", "sim_backend")
+        for kind in ("py", "urscript", "lark")
+    ),
+    "training/evaluation/through_service.py",
+)
+"""What an episode through the deployed service may depend on besides."""
+DIRTY = "-dirty"
+
+
+def commit() -> str | None:
+    """Return the commit, with `DIRTY` if the code is not as committed; None where that is not known.
+
+    Results, documents and policies may differ from the commit: a file of results says which policy it is of.
+    """
+    head = _git("rev-parse", "--verify", "HEAD")
+    return None if head is None else head + (DIRTY if _git("status", "--porcelain", "--", *CODE) != "" else "")
+
+
+def machine() -> str:
+    """Return the processor and how many of its cores this process may use."""
+    return f"{_processor()}, {len(os.sched_getaffinity(0))} cores"
+
+
+@cache
+def sources() -> str:
+    """Return the SHA-256 of `DECIDING`, names and contents in sorted order: the same wherever the sources are."""
+    return _digest(DECIDING)
+
+
+def deployed_sources() -> str:
+    """Return the SHA-256 of `DECIDING` and `DEPLOYED` together, as they are now: a service starts from the files."""
+    found = (path for pattern in DEPLOYED for path in ROOT.glob(pattern))
+    return _digest({*DECIDING, *(path.relative_to(ROOT).as_posix() for path in found)})
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of what results depend on, as far as it is installed."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _digest(names: Iterable[str]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(names):
+        data = (ROOT / name).read_bytes()
+        digest.update(f"{name} {len(data)}\n".encode() + data)
+    return digest.hexdigest()
+
+
+def _git(*arguments: str) -> str | None:
+    """What git says of this project; None where it cannot tell, as where this is no working tree."""
+    git = shutil.which("git")
+    if git is None:
+        return None
+    done = subprocess.run([git, *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+    return None if done.returncode else done.stdout.strip()
+
+
+def _processor() -> str:
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.machine()

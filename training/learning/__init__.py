@@ -1,0 +1,1 @@
+"""Learning: experiments, PPO, checkpoints, and the export of a trained policy."""

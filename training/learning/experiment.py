@@ -1,0 +1,277 @@
+"""An experiment: everything that decides what a training turns out, as one TOML file in `training/experiments/`.
+
+`docs/how-to/train-a-policy.md` explains the fields to those who write one.
+"""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from service.policy.contract import ComplianceLaw, PolicyContract
+from service.policy.observation import Mode
+from service.safety import dsl
+from training.environment import design
+from training.environment.reward import FORCE_COST_PER_N, RewardName
+from wire.limits import FORCE_HARD_MAXIMUM_N
+from wire.task import Conditions, Part, Task
+
+FOLDER = Path(__file__).parents[1] / "experiments"
+
+Count = Annotated[int, Field(ge=1)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class ExperimentError(ValueError):
+    """An experiment that cannot be found, read or run; the text names every field at fault."""
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TaskSection(Section):
+    """What is trained on.
+
+    Attributes:
+        mode: what the policy observes. VFTM: the hole's estimate and the contact; FTM: the nominal centre and the
+            contact; VM: the estimate alone.
+        lock: how the depth is limited: `paper`, `peck`, `sliding` or `off`, the only one that VM has.
+        parts: pegs and holes; each gets the same number of workers.
+        clearance_mm: range of clearances per face to draw from, tight ones more often.
+        conditions: distributions of an episode, see `docs/reference/conditions.md`.
+        randomise_plant: friction, stiffness, delay and mass vary.
+        slips: share of the training episodes in which the hole slips once to another place and yaw.
+        misreads: share of the training episodes in which the policy reads the torque about z times a factor within ±1.
+        reward: of `training.environment.reward`.
+        force_cost_per_n: in the reward `potential`, of the episode's peak force above 12 N.
+        max_steps: of an episode.
+        force_ceiling_n: resultant that ends an episode in a fault.
+    """
+
+    mode: Mode = "VFTM"
+    lock: dsl.Mode = "paper"
+    parts: Annotated[tuple[Part, ...], Field(min_length=1)] = ("tr",)
+    clearance_mm: tuple[Positive, Positive]
+    conditions: Conditions = "standard"
+    randomise_plant: bool = True
+    slips: Share = 0.0
+    misreads: Share = 0.0
+    reward: RewardName = "potential"
+    force_cost_per_n: NotNegative = FORCE_COST_PER_N
+    max_steps: Count = design.MAX_STEPS
+    force_ceiling_n: Annotated[float, Field(gt=0, le=FORCE_HARD_MAXIMUM_N)] = 30.0
+
+    @property
+    def clearance_m(self) -> tuple[float, float]:
+        """`clearance_mm` in m."""
+        return self.clearance_mm[0] * 1e-3, self.clearance_mm[1] * 1e-3
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.clearance_mm[0] > self.clearance_mm[1]:
+            raise ValueError(f"clearance_mm runs from {self.clearance_mm[0]} down to {self.clearance_mm[1]}")
+        if len(set(self.parts)) < len(self.parts):
+            raise ValueError("parts names one more than once")
+        for clearance in self.clearance_m:
+            Task(0, self.parts[0], clearance, self.conditions, self.randomise_plant).check()
+        design.check_conditions(self.mode, self.conditions)
+        return self
+
+
+class PolicySection(Section):
+    """What a policy does, where that is not what `training.environment.design` gives it; none: as there.
+
+    Attributes:
+        press_mm: how far below the lock a command may go.
+        dxy_mm: displacement in x and in y at an action of ±1, per step.
+        dz_mm: the same upwards.
+        dyaw_deg: the same in yaw.
+        wrench_window_ticks: newest samples of a step that are averaged.
+    """
+
+    press_mm: NotNegative | None = None
+    dxy_mm: Positive | None = None
+    dz_mm: Positive | None = None
+    dyaw_deg: Positive | None = None
+    wrench_window_ticks: Count | None = None
+
+    def adjust(self, contract: PolicyContract) -> PolicyContract:
+        """Return `contract` with what this section says."""
+        scaled = {
+            "dx": (self.dxy_mm, 1e-3),
+            "dy": (self.dxy_mm, 1e-3),
+            "dz": (self.dz_mm, 1e-3),
+            "dyaw": (self.dyaw_deg, math.pi / 180),
+        }
+        return design.adjusted(
+            contract,
+            press_m=None if self.press_mm is None else self.press_mm * 1e-3,
+            limits={name: value * unit for name, (value, unit) in scaled.items() if value is not None},
+            wrench_window_ticks=self.wrench_window_ticks,
+        )
+
+
+class AdmittedSection(Section):
+    """What the policy may be used for, where that is not what it was trained on; a cell refuses anything else.
+
+    Attributes:
+        parts: pegs and holes; none: those of the task.
+        clearance_mm: least and largest clearance per face; none: the task's.
+    """
+
+    parts: tuple[Part, ...] = ()
+    clearance_mm: tuple[Positive, Positive] | None = None
+
+
+class AlgorithmSection(Section):
+    """PPO, its network and the size of things.
+
+    Attributes:
+        memory: `gru`: a recurrent unit, one frame of observation; `none`: none, the last 4 to 12 frames instead.
+        width: of the encoder.
+        hidden: width of the recurrent unit, or of the layer in its place.
+        steps: environment steps in all.
+        cells: simulated cells stepped together, over all workers.
+        workers: processes that they are spread over; a multiple of the number of parts.
+        rollout: steps per cell between two updates; gradients reach back so far.
+        learning_rate: of Adam at the start; falls linearly to a tenth.
+        epochs: passes over a rollout.
+        minibatches: per pass; each holds whole sequences of some of the cells.
+        gamma: discount of the return.
+        gae_lambda: of the advantages (Schulman et al., 2016).
+        averaging: share of the old in the running average of the weights at each update; that average is evaluated and
+            exported; 0: the latest weights.
+        entropy: weight of the bonus for exploration.
+        auxiliary_weight: of the error of the head that predicts where the hole is.
+        initial_log_std: of the exploration; at least that with `start_from`.
+    """
+
+    memory: Literal["gru", "none"] = "gru"
+    width: Count = 128
+    hidden: Count = 128
+    steps: Count
+    cells: Count = 192
+    workers: Count = 2
+    rollout: Count = 64
+    learning_rate: Positive = 5e-4
+    epochs: Count = 4
+    minibatches: Count = 4
+    gamma: Share = 0.99
+    gae_lambda: Share = 0.95
+    averaging: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    entropy: NotNegative = 1e-3
+    auxiliary_weight: NotNegative = 0.5
+    initial_log_std: float = -0.7
+
+    @model_validator(mode="after")
+    def _divides(self) -> Self:
+        if self.cells % self.workers:
+            raise ValueError(f"{self.cells} cells do not divide evenly over {self.workers} workers")
+        if self.minibatches > self.cells:
+            raise ValueError(f"{self.minibatches} minibatches are more than {self.cells} cells")
+        return self
+
+
+class EvaluationSection(Section):
+    """How the model is judged as the training goes on: deterministic policy, nominal plant, the validation's seeds.
+
+    Attributes:
+        every_steps: environment steps between two evaluations; there is one at the end in any case.
+        episodes: per part and clearance, the same ones every time.
+        clearances_mm: per face.
+        conditions: distributions of an episode; none: those of the task.
+    """
+
+    every_steps: Count
+    episodes: Annotated[int, Field(ge=1, le=10_000)] = 100
+    clearances_mm: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    conditions: Conditions | None = None
+
+
+class Experiment(Section):
+    """One experiment, trained once for each of its seeds.
+
+    Attributes:
+        name: of the file that it was read from.
+        title: what it is, in a line.
+        task: what is trained on.
+        law: the compliance law about the TCP: `stiffness`, `damping`, `inertia` of six numbers each.
+        policy: what the policy does, where not as usual.
+        admitted: what the policy may be used for.
+        algorithm: how.
+        evaluation: how it is judged meanwhile.
+        seeds: of network, exploration and tasks; one training each.
+        start_from: name of the experiment whose best model of the same seed this one begins with.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$", max_length=60)]
+    title: Annotated[str, Field(min_length=1)]
+    task: TaskSection
+    law: ComplianceLaw = design.LAW
+    policy: PolicySection = PolicySection()
+    admitted: AdmittedSection = AdmittedSection()
+    algorithm: AlgorithmSection
+    evaluation: EvaluationSection
+    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = (0,)
+    start_from: str | None = None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if self.algorithm.workers % len(self.task.parts):
+            raise ValueError(
+                f"algorithm.workers is {self.algorithm.workers}, which does not divide evenly over "
+                f"{len(self.task.parts)} parts"
+            )
+        for clearance in self.evaluation.clearances_mm:
+            Task(0, self.task.parts[0], clearance * 1e-3).check()
+        design.check_conditions(self.task.mode, self.evaluation.conditions or self.task.conditions)
+        self.contract()
+        return self
+
+    def contract(self) -> PolicyContract:
+        """What a policy trained so sees, does and is limited by."""
+        low, high = self.admitted.clearance_mm or self.task.clearance_mm
+        contract = design.contract_for(
+            self.task.mode,
+            self.task.lock,
+            self.admitted.parts or self.task.parts,
+            clearance_m=(low * 1e-3, high * 1e-3),
+            max_steps=self.task.max_steps,
+            name=self.name,
+            law=self.law,
+            hidden_size=self.algorithm.hidden if self.algorithm.memory == "gru" else 0,
+        )
+        return self.policy.adjust(contract)
+
+
+def names() -> list[str]:
+    """Return the names of all experiments that come with the project."""
+    return sorted(path.stem for path in FOLDER.glob("*.toml"))
+
+
+def load(name: str) -> Experiment:
+    """Read an experiment.
+
+    Args:
+        name: of one in `training/experiments/`, or the path of a TOML file, which ends in `.toml`.
+
+    Raises:
+        ExperimentError: there is none of that name, or it says something impossible.
+    """
+    path = Path(name) if name.endswith(".toml") else FOLDER / f"{name}.toml"
+    try:
+        document = tomllib.loads(path.read_text())
+    except FileNotFoundError as error:
+        raise ExperimentError(f"there is no experiment {name!r}; there are {', '.join(names())}") from error
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ExperimentError(f"cannot read {path}: {error}") from error
+    try:
+        return Experiment.model_validate({"name": path.stem, **document})
+    except ValidationError as error:
+        faults = [f"{'.'.join(map(str, fault['loc'])) or 'experiment'}: {fault['msg']}" for fault in error.errors()]
+        raise ExperimentError(f"{path}: {'; '.join(faults)}") from error

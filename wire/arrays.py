@@ -1,0 +1,15 @@
+"""Names of the array types that the whole project uses. Shapes, frames and units stand where an array is declared."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Float32Array = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int32]
+BoolArray = npt.NDArray[np.bool_]
+CellIndices = npt.NDArray[np.int64]
+"""(k,) indices of cells within a batch."""
+RecordArray = npt.NDArray[Any]
+"""Structured array of the simulated cell's records, `wire.records`."""

@@ -1,0 +1,56 @@
+"""Zenoh endpoints: those of the simulated cell, and the rule that a server stays on this machine unless allowed."""
+
+import ipaddress
+import re
+
+DEFAULT_WORLD = "world-1"
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7448"
+"""World and endpoint of `config/cell.toml`."""
+
+_ENDPOINT = re.compile(r"(?P<protocol>tcp|udp|tls|quic|ws)/(?P<host>\[[^\]]+\]|[^:/\[\]]+):(?P<port>\d{1,5})([?#].*)?")
+
+
+class EndpointError(OSError, ValueError):
+    """An endpoint is refused, malformed or taken; the text names it and says what to do."""
+
+
+class EndpointInUseError(EndpointError):
+    """Another process listens at the endpoint; the text names it."""
+
+
+def check_endpoint(endpoint: str, *, allow_remote: bool) -> None:
+    """Refuse an endpoint that Zenoh could not read, or that leaves this machine unasked.
+
+    Args:
+        endpoint: `protocol/host:port`, for instance `tcp/127.0.0.1:7447`.
+        allow_remote: whether a host other than loopback is wanted.
+
+    Raises:
+        EndpointError: malformed, or not loopback while `allow_remote` is false.
+    """
+    match = _ENDPOINT.fullmatch(endpoint)
+    if match is None or int(match["port"]) > 65535:
+        raise EndpointError(f"endpoint {endpoint!r} is not of the form tcp/127.0.0.1:7447")
+    check_host(match["host"].strip("[]"), allow_remote=allow_remote)
+
+
+def check_host(host: str, *, allow_remote: bool) -> None:
+    """Refuse an address that leaves this machine unasked.
+
+    Raises:
+        EndpointError: not loopback while `allow_remote` is false.
+    """
+    if not allow_remote and not _is_loopback(host):
+        raise EndpointError(
+            f"{host} is not on loopback: whoever reaches it can move the arm. "
+            "Add --allow-remote if the network is trusted"
+        )
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

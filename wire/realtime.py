@@ -1,0 +1,49 @@
+"""The request that a 500 Hz process makes of the host so that it runs in time."""
+
+import ctypes
+import gc
+import os
+import sys
+
+PRIORITY = 40
+"""Priority under SCHED_FIFO: below the kernel's own threads (50), and the same for control process and simulator."""
+SWITCH_INTERVAL_S = 5e-4
+"""Longest time that one Python thread holds another up, s; Python's default is 5 ms."""
+_MCL_CURRENT_AND_FUTURE = 3
+
+
+def request_realtime() -> tuple[str, ...]:
+    """Ask for real-time scheduling of this thread and for locked memory.
+
+    Threads started before keep their scheduling; threads started by this one afterwards inherit it.
+
+    Returns:
+        One line for each thing refused, with its remedy; empty where everything was granted.
+    """
+    refused: list[str] = []
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except OSError as error:
+        refused.append(
+            f"no real-time scheduling ({error.strerror}): a tick may be some milliseconds late; "
+            "grant CAP_SYS_NICE or an rtprio limit"
+        )
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT_AND_FUTURE):
+        reason = os.strerror(ctypes.get_errno())
+        refused.append(
+            f"no locked memory ({reason}): a page fault may delay a tick; grant CAP_IPC_LOCK or a memlock limit"
+        )
+    return tuple(refused)
+
+
+def has_realtime_scheduling() -> bool:
+    """Return whether the calling thread runs under SCHED_FIFO."""
+    return os.sched_getscheduler(0) == os.SCHED_FIFO
+
+
+def freeze_garbage() -> None:
+    """Exempt what exists now from garbage collection: a pass over a loaded program lasts longer than a tick."""
+    gc.collect()
+    gc.freeze()

@@ -1,0 +1,108 @@
+"""Zenoh sessions: explicit endpoints, no discovery, no listening that was not asked for, queries on an event loop."""
+
+import asyncio
+import json
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import zenoh
+
+from wire.endpoints import EndpointError, EndpointInUseError
+
+
+class QueryRefusedError(Exception):
+    """The other side answered with an error; the text is its."""
+
+
+def open_session(listen: Sequence[str] = (), connect: Sequence[str] = ()) -> zenoh.Session:
+    """Open a session in peer mode on exactly these endpoints; the caller closes it.
+
+    A connection that cannot be made now is retried in the background, so a peer may start later.
+
+    Args:
+        listen: endpoints to accept peers at, such as `tcp/127.0.0.1:7447`.
+        connect: endpoints of peers or routers to join.
+
+    Raises:
+        EndpointInUseError: another process listens at an endpoint.
+        EndpointError: an endpoint cannot be listened on for another reason; the text names it.
+    """
+    config = zenoh.Config()
+    settings: dict[str, object] = {
+        "mode": "peer",
+        "listen/endpoints": list(listen),
+        "listen/exit_on_failure": True,
+        "connect/endpoints": list(connect),
+        "connect/exit_on_failure": False,
+        "connect/timeout_ms": -1,
+        "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2.0},
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/link/tx/queue/batching/enabled": False,
+        "transport/shared_memory/enabled": False,  # a killed process would leave segments behind
+    }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        where = ", ".join(listen)
+        if "Address already in use" in str(error):
+            raise EndpointInUseError(f"{where} is in use by another process") from error
+        raise EndpointError(f"cannot listen at {where}: {str(error).split(' at /', 1)[0]}") from error
+
+
+def close_session(session: zenoh.Session) -> None:
+    """Close a session; an unclosed one can hang the interpreter's exit. Blocks for some milliseconds."""
+    session.close()
+
+
+def call_in_loop(loop: asyncio.AbstractEventLoop, callback: Callable[..., object], *args: Any) -> None:
+    """Run `callback` on the loop from one of Zenoh's threads, which may outlive the loop by a moment at shutdown."""
+    try:
+        loop.call_soon_threadsafe(callback, *args)
+    except RuntimeError:
+        if not loop.is_closed():
+            raise
+
+
+async def query(session: zenoh.Session, selector: str, payload: bytes, timeout_s: float) -> list[bytes]:
+    """Ask, and wait for every answer without blocking the loop.
+
+    Args:
+        session: open.
+        selector: key expression, with `?parameters` where there are any.
+        payload: the request.
+        timeout_s: after which no further answer is waited for.
+
+    Returns:
+        One payload per answer; empty when nobody answered in time.
+
+    Raises:
+        QueryRefusedError: an answer is an error.
+    """
+    loop = asyncio.get_running_loop()
+    answers: list[bytes] = []
+    errors: list[str] = []
+    ended = asyncio.Event()
+
+    def on_reply(reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            answers.append(reply.ok.payload.to_bytes())
+        elif reply.err is not None and (text := reply.err.payload.to_bytes().decode(errors="replace")) != "Timeout":
+            errors.append(text)
+
+    handler = zenoh.handlers.Callback(on_reply, lambda: call_in_loop(loop, ended.set))
+    session.get(
+        selector,
+        handler,
+        payload=payload,
+        timeout=timeout_s,
+        priority=zenoh.Priority.INTERACTIVE_HIGH,
+        express=True,
+        consolidation=zenoh.ConsolidationMode.NONE,
+    )
+    await ended.wait()
+    if errors:
+        raise QueryRefusedError("; ".join(errors))
+    return answers
