@@ -1,6 +1,6 @@
 """An experiment: everything that decides what a training turns out, as one TOML file in `training/experiments/`.
 
-`docs/how-to/train-a-policy.md` explains the fields to those who write one.
+`docs/reference/experiment-file.md` explains the fields to those who write one.
 """
 
 import math
