@@ -1,4 +1,4 @@
-"""The Python reference lists the public modules; the site's build fails for a listed one that does not exist."""
+"""Documents name modules and files that exist; the Python reference and the menu leave none out."""
 
 import re
 from pathlib import Path
@@ -8,6 +8,9 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "docs/reference/python"
 LISTED = {name for page in PAGES.glob("*.md") for name in re.findall(r"^::: (\S+)$", page.read_text(), re.MULTILINE)}
+GENERATED = {"results.md", "models.md"}
+WRITTEN = [path for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))] if path.name not in GENERATED]
+FILE = re.compile(r"`((?:wire|service|sim_backend|api|training|benchmarks|config|tests|models|docs)/[a-z0-9_./-]*)`")
 INTERNAL = {"service.policy.onnx_file", "service.policy.window"}
 
 
@@ -27,3 +30,9 @@ def test_the_menu_lists_every_document() -> None:
     menu = (ROOT / "mkdocs.yml").read_text()
     documents = {str(path.relative_to(ROOT / "docs")) for path in (ROOT / "docs").rglob("*.md")}
     assert not [name for name in documents if not re.search(rf"[ :]{re.escape(name)}$", menu, re.MULTILINE)]
+
+
+@pytest.mark.parametrize("document", WRITTEN, ids=lambda path: str(path.relative_to(ROOT)))
+def test_files_that_documents_name_exist(document: Path) -> None:
+    named = {name.rstrip("/") for name in FILE.findall(document.read_text())}
+    assert not [name for name in named if not (ROOT / name).exists()]
