@@ -19,6 +19,7 @@ BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.installed-runtime
 TRAINING := $(VENV)/.installed-training
 DEV := $(VENV)/.installed-dev
+DOCS := $(VENV)/.installed-docs
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: help
@@ -49,6 +50,11 @@ $(DEV): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing what training, tests and linters need (torch among it)"
 	@$(PIP) --editable '.[$(EXTRAS)]'
 	@touch $@ $(RUNTIME) $(TRAINING)
+
+$(DOCS): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "installing what the documentation site needs"
+	@$(PIP) --editable '.[docs]'
+	@touch $@ $(RUNTIME)
 
 .PHONY: setup setup-training setup-dev
 setup: $(RUNTIME) ## prepare .venv for the cell
@@ -103,8 +109,18 @@ format: $(DEV) ## let ruff put the layout right
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-docs-check: $(DEV) ## links between documents, and the documents that must exist
+docs-check: $(DEV) ## links between documents, the documents that must exist, their examples and commands
 	$(BIN)/python -m pytest -q tests/test_architecture.py -k document
+	$(BIN)/python -m pytest -q tests/docs
+
+# --- documentation --------------------------------------------------------------------------------------------------
+
+.PHONY: docs docs-serve
+docs: $(DOCS) ## build the documentation site into site/; a broken link is an error
+	$(BIN)/mkdocs build --clean
+
+docs-serve: docs ## look at the site on http://127.0.0.1:8001 until Ctrl-C
+	$(BIN)/python -m http.server 8001 --bind 127.0.0.1 --directory site
 
 # --- training and measurements --------------------------------------------------------------------------------------
 

@@ -32,7 +32,7 @@ Commands and watches one assembly cell.
 
 This is process protection. It is not the robot's emergency stop and replaces none of its certified safety functions.
 
-Units are SI; frames and signs are those of `docs/architecture.md`. Every error is an RFC 9457 problem
+Units are SI; frames and signs are those of `docs/reference/frames.md`. Every error is an RFC 9457 problem
 (`application/problem+json`). There is no authorisation yet: the server accepts requests from this machine only.
 """
 TAGS = [

@@ -221,7 +221,7 @@ class SimSection(Section):
 
 
 class UrSection(Section):
-    """A Universal Robots e-Series controller; `docs/ur.md` says how each number is found.
+    """A Universal Robots e-Series controller; `docs/how-to/commission-a-ur.md` says how each number is found.
 
     Attributes:
         host: address of the controller.

@@ -1,6 +1,7 @@
 """How stable the force loop is: press on the block at the shortest and the longest sensor delay, with damping scaled.
 
-Not a timing: `python -m benchmarks.cases.contact_loop` prints the figures of `docs/decisions/0004-admittance.md`.
+`python -m benchmarks.cases.contact_loop` prints the figures of `docs/explanation/decisions/0004-admittance.md`. It
+measures no time.
 """
 
 import itertools

@@ -1,7 +1,7 @@
 """What a driver is to the cell: samples up, pose targets and stop down. A new arm is one class with these methods.
 
 Everything here runs on the event loop's thread, and nothing in it waits: a driver that needs to wait has a task or a
-thread of its own and hands over what it received. Frames, units and signs are those of `docs/architecture.md`.
+thread of its own and hands over what it received. Frames, units and signs are those of `docs/reference/frames.md`.
 """
 
 from collections.abc import Callable

@@ -58,7 +58,7 @@ class Stage(Protocol):
 
 
 class ZenohStage:
-    """The world of an emulated controller, laid out as that of a simulated cell is (`docs/wire.md`).
+    """The world of an emulated controller, laid out as that of a simulated cell is (`docs/reference/wire.md`).
 
     Args:
         world: name in its keys.

@@ -1,6 +1,6 @@
 """What a policy file says about itself: the JSON contract in the metadata of its ONNX model.
 
-`docs/policy-contract.md` is the reference for integrators.
+`docs/reference/policy-contract.md` is the reference for integrators.
 """
 
 from collections import Counter
@@ -109,7 +109,7 @@ class EvaluationFigure(Section):
 
     Attributes:
         clearance_m: per face.
-        conditions: distributions of `docs/conditions.md`.
+        conditions: distributions of `docs/reference/conditions.md`.
         episodes: independent, deterministic policy, seeds never trained on.
         successes: of those.
         low: lower end of the 95 % Wilson interval of the success rate.

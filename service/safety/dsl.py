@@ -3,7 +3,7 @@
 Algorithm 1 and equations 3 to 6 of the paper "DSL-Assembly: A Robust and Safe Assembly Strategy" (Y. Liu), any batch
 shape. Comments name the line or equation that the code below them implements.
 
-Frames and signs are those of `docs/architecture.md`: base frame, z up, insertion along -z, pressing gives Fz > 0.
+Frames and signs are those of `docs/reference/frames.md`: base frame, z up, insertion along -z, pressing gives Fz > 0.
 
 NaN must never enter: it would pass into the lock and stay there. A cell's monitor refuses it before, and its bounds
 after; nothing here looks, because this also runs over thousands of simulated cells.

@@ -1,6 +1,7 @@
 """The insertions as Gymnasium sees them: `PegInHoleEnv` for one cell, `PegInHoleVectorEnv` for many.
 
-Both are thin: `training.environment.insertion.Insertions` does all the work. `docs/training.md` is the user's page.
+Both are thin: `training.environment.insertion.Insertions` does all the work. `docs/reference/environment.md` is the
+user's page.
 """
 
 from collections.abc import Sequence

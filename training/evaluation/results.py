@@ -99,7 +99,7 @@ class Setting:
     Attributes:
         part: peg and hole.
         clearance_m: per face.
-        conditions: distributions of an episode, `docs/conditions.md`.
+        conditions: distributions of an episode, `docs/reference/conditions.md`.
         lock: that it ran with; the contract's own unless it was put in another's place.
         through: what played the episodes.
         reward: that returns are sums of.

@@ -1,6 +1,6 @@
 """An experiment: everything that decides what a training turns out, as one TOML file in `training/experiments/`.
 
-`docs/training.md` explains the fields to those who write one.
+`docs/reference/experiment-file.md` explains the fields to those who write one.
 """
 
 import math
@@ -43,7 +43,7 @@ class TaskSection(Section):
         lock: how the depth is limited: `paper`, `sliding` or `off`, the only one that VM has.
         parts: pegs and holes; each gets the same number of workers.
         clearance_mm: range of clearances per face to draw from, tight ones more often.
-        conditions: distributions of an episode, see `docs/conditions.md`.
+        conditions: distributions of an episode, see `docs/reference/conditions.md`.
         randomise_plant: friction, stiffness, delay and mass vary.
         slips: share of the training episodes in which the hole slips once to another place and yaw.
         misreads: share of the training episodes in which the policy reads the torque about z times a factor within ±1.

@@ -155,14 +155,14 @@ def _glance(cards: Sequence[Card]) -> Iterator[Block]:
     size = sum(card.size_bytes for card in cards) / 1e3
     yield Paragraph(
         f"{len(cards)} policies, {size:.0f} kB in all. `dsl-assembly report` writes this page from each file's "
-        "contract ([policy-contract.md](policy-contract.md)) and from `results/`, and says nothing that they do not "
-        "say, but for the use and the known weakness of a model, which are in `training/cards.toml`. Results of "
+        "contract ([policy-contract.md](reference/policy-contract.md)) and from `results/`, and says nothing that they "
+        "do not say, but for the use and the known weakness of a model, which are in `training/cards.toml`. Results of "
         "another file of the same name do not count."
     )
     yield Paragraph(
         "All results are from simulation. Policies are deterministic; clearances are per face; intervals are 95 % "
         "Wilson intervals; peak force is the largest resultant over every 2 ms sample of an episode. "
-        "[conditions.md](conditions.md) has the distributions behind the names of conditions, "
+        "[conditions.md](reference/conditions.md) has the distributions behind the names of conditions, "
         "[results.md](results.md) the comparison with the paper."
     )
     yield Heading("All models")

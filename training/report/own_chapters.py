@@ -111,7 +111,7 @@ def conditions(measured: Measured) -> Iterator[Block]:
         "has it, noise included; tables give median / 99th percentile / maximum over episodes. That sensor ends at 30"
         " N per channel, so what is said to be more than 30 N was at least that: the load behind the largest of the "
         "conditions `stiff`, 52.6 N, was 128 N. c is the clearance per face. The distributions `standard`, `search`, "
-        "`stiff` and `transfer` are in [conditions.md](conditions.md)."
+        "`stiff` and `transfer` are in [conditions.md](reference/conditions.md)."
     )
     sessions = [s for results in measured.results.values() for block in results.blocks for s in block.sessions]
     if sessions:

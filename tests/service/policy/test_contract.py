@@ -211,7 +211,7 @@ def test_the_schema_names_every_field() -> None:
 
 
 def test_the_reference_page_holds_the_registry() -> None:
-    page = (Path(__file__).parents[3] / "docs/policy-contract.md").read_text()
+    page = (Path(__file__).parents[3] / "docs/reference/policy-contract.md").read_text()
     for name, spec in ENTRIES.items():
         needs = ", ".join(sorted(spec.needs)) or "–"
         assert f"| `{name}` | {spec.size} | {spec.unit} | {spec.frame} | {needs} | {spec.meaning} |" in page

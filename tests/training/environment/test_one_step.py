@@ -122,7 +122,7 @@ def test_the_cell_and_training_observe_lock_and_command_the_same_at_every_tick_a
         np.testing.assert_allclose(shadow.observation, observation[0], rtol=0.0, atol=1e-5)
     assert outcome.success[0]
     assert shadow.insertion.depth_m == pytest.approx(outcome.depth[0], abs=2.5e-3)
-    assert pressed > 1
+    assert pressed > 0
 
 
 def test_an_answer_that_comes_late_acts_on_what_was_measured_when_it_was_asked_for() -> None:
