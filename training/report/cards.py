@@ -1,6 +1,6 @@
 """Model cards: what every policy file is for, does and was measured to do, from its contract and its results alone.
 
-A sentence that neither of them can say is in `training/cards.toml`.
+A sentence that neither of them can say is in `training/report/cards.toml`.
 """
 
 import math
@@ -105,7 +105,7 @@ class Card:
 
 
 def notes() -> dict[str, Note]:
-    """Read `training/cards.toml`: notes by the name of the model's file."""
+    """Read `training/report/cards.toml`: notes by the name of the model's file."""
     document = tomllib.loads(Path(paper.__file__).with_name("cards.toml").read_text())
     return {name: Note.model_validate(note) for name, note in document.items()}
 
@@ -156,7 +156,7 @@ def _glance(cards: Sequence[Card]) -> Iterator[Block]:
     yield Paragraph(
         f"{len(cards)} policies, {size:.0f} kB in all. `dsl-assembly report` writes this page from each file's "
         "contract ([policy-contract.md](reference/policy-contract.md)) and from `results/`, and says nothing that they "
-        "do not say, but for the use and the known weakness of a model, which are in `training/cards.toml`. Results of "
+        "do not say, but for the use and the known weakness of a model, which are in `training/report/cards.toml`. Results of "
         "another file of the same name do not count."
     )
     yield Paragraph(
