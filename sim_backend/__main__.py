@@ -18,10 +18,10 @@ _BACKEND = os.environ.pop("MUJOCO_GL", "egl")
 import typer
 import zenoh
 
-from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer, Ports
-from sim_backend.ur_controller.stage import Stage
+from sim_backend.ur_controller.surroundings import Surroundings
 from sim_backend.world import appearance, rendering
 from sim_backend.world.world import World
 from sim_backend.zenoh_cell.cell import SimulatedCell
@@ -113,25 +113,25 @@ def ur_controller(
                 session = stack.enter_context(_open_session(listen or [], connect or [], allow_remote=allow_remote))
             plant = Plant(World(1, task.part))
             plant.lay_out(task)
-            controller = Controller(plant)
+            controller = make_controller(plant)
             if programs is not None:
                 controller.programs |= _read_programs(programs)
             server = stack.enter_context(
                 contextlib.closing(ControllerServer(controller, host, ANY_PORTS if any_ports else Ports()))
             )
-            stage = Stage(controller, server, session, world, refused) if session is not None else None
+            surroundings = Surroundings(controller, server, session, world, refused) if session is not None else None
         except (OSError, ValueError) as error:
             _fail(str(error), EXIT_USAGE)
-        if stage is not None:
-            stack.enter_context(contextlib.closing(stage))
+        if surroundings is not None:
+            stack.enter_context(contextlib.closing(surroundings))
         for line in refused:
             typer.echo(f"degraded: {line}", err=True)
         ready = {"host": host, **asdict(server.ports)}
-        if stage is not None:
-            ready |= {"world": world, "epoch": stage.epoch, "listen": ",".join(listen or [])}
+        if surroundings is not None:
+            ready |= {"world": world, "epoch": surroundings.epoch, "listen": ",".join(listen or [])}
         typer.echo(" ".join(["ready", *(f"{name}={value}" for name, value in ready.items())]))
         sys.stdout.flush()
-        server.run(stage)
+        server.run(surroundings)
 
 
 def _read_programs(folder: Path) -> dict[str, str]:

@@ -5,7 +5,7 @@ import time
 
 from benchmarks.harness.result import UnavailableError
 from service.client import CellClient, CellRefusedError, CellSilentError
-from service.messages import CellState, Reason, ResetRequest, RunState, StartRequest
+from service.messages import CellState, RefusalReason, ResetRequest, RunState, StartRequest
 
 STATE_TIMEOUT_S = 60.0
 POLL_S = 0.005
@@ -45,9 +45,9 @@ async def start(client: CellClient, recipe: str, seed: int) -> str:
         try:
             return (await client.start(StartRequest(recipe=recipe, seed=seed))).run.id
         except CellRefusedError as error:
-            if error.problem.reason is Reason.LATCHED:
+            if error.problem.reason is RefusalReason.LATCHED:
                 raise LatchedError(str(error.problem.code)) from error
-            if error.problem.reason is not Reason.WRONG_STATE:  # READY was half a heartbeat ago
+            if error.problem.reason is not RefusalReason.WRONG_STATE:  # READY was half a heartbeat ago
                 raise UnavailableError(f"the run was refused: {error}") from error
         await asyncio.sleep(POLL_S)
 

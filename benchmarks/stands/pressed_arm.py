@@ -12,7 +12,7 @@ from service.config import CellConfig
 from service.drivers.ur import registers
 from service.drivers.ur.program import render
 from service.drivers.ur.registers import Command
-from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.world.world import World
 from wire.records import TICK_S
@@ -68,7 +68,7 @@ class PressedArm:
     def __init__(self, config: CellConfig, plan: Plan, ceiling_n: float, task: Task) -> None:
         self.plant = Plant(World(1, task.part))
         self.plant.lay_out(task)
-        self.controller = Controller(self.plant)
+        self.controller = make_controller(self.plant)
         self.silent = False
         self._contact = ContactForce(self.plant)
         self._sequence = 0

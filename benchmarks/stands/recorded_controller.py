@@ -17,6 +17,7 @@ import numpy as np
 
 from benchmarks.stands.pressed_arm import ContactForce
 from sim_backend import __main__ as command
+from sim_backend.ur_controller.builtins import standard_builtins
 from sim_backend.ur_controller.controller import Controller
 from wire.rtde.modes import RuntimeState
 
@@ -57,7 +58,7 @@ class RecordedController(Controller):
 
 
 def main(output: Path, options: Sequence[str]) -> None:
-    command.Controller = RecordedController
+    command.make_controller = lambda plant: RecordedController(plant, standard_builtins)
     try:
         command.app([*options])
     finally:

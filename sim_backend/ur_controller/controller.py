@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from sim_backend.ur_controller.builtins import standard_table
-from sim_backend.ur_controller.builtins.sockets import Sockets
 from sim_backend.ur_controller.events import (
     CompileFailed,
     Event,
@@ -25,10 +23,10 @@ from sim_backend.ur_controller.geometry import cross
 from sim_backend.ur_controller.inputs import Inputs, Registers
 from sim_backend.ur_controller.interpreter import Interpreter
 from sim_backend.ur_controller.motion import Motion
-from sim_backend.ur_controller.outputs import TEMPERATURE_C, Outputs
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.safety import UNLOCK_TOO_EARLY, Durations, Safety
 from sim_backend.ur_controller.script import Builtin, CompileError, Execution, compile_source
+from sim_backend.ur_controller.sockets import Sockets
 from sim_backend.ur_controller.terminals import Terminals
 from sim_backend.world.arm import PROTECTIVE_ERROR_RAD, PROTECTIVE_FORCE_N
 from wire.records import TICK_S
@@ -51,7 +49,7 @@ class Controller:
 
     Args:
         plant: the arm, its tool and what they touch.
-        table: builtins of scripts; those of `builtins.standard_table` unless given.
+        make_builtins: binds the builtins that scripts may call to this controller; called once it is complete.
         durations: of powering on and the like.
 
     Attributes:
@@ -81,10 +79,14 @@ class Controller:
     versions = (5, 21, 3, 1282)
     serial = "20235300042"
     robot_type = 3
-    temperature_c = TEMPERATURE_C
+    temperature_c = 30.0
 
     def __init__(
-        self, plant: Plant, *, table: Mapping[str, Builtin] | None = None, durations: Durations | None = None
+        self,
+        plant: Plant,
+        make_builtins: "Callable[[Controller], Mapping[str, Builtin]]",
+        *,
+        durations: Durations | None = None,
     ) -> None:
         self.plant = plant
         self.motion = Motion(plant)
@@ -107,8 +109,7 @@ class Controller:
         self._enabled = True
         self._external_lever: Sequence[float] | None = None
         self._last_target = self.motion.q_target
-        self._table = standard_table(self) if table is None else table
-        self._outputs = Outputs(self)
+        self._builtins = make_builtins(self)
         plant.on_placed.append(self._placed)
 
     def tick(self) -> None:
@@ -172,14 +173,6 @@ class Controller:
     def control_step(self) -> int:
         """Number of the next tick."""
         return self._tick
-
-    def output_getter(self, name: str) -> Callable[[], Any]:
-        """What reads one RTDE output after each tick: a number, or a list of the field's length.
-
-        Raises:
-            KeyError: the controller gives no such output.
-        """
-        return self._outputs.getters[name]
 
     def apply_inputs(self, names: Sequence[str], values: Sequence[Any]) -> None:
         """Take one RTDE package of inputs; it takes effect with the latency of the episode.
@@ -303,7 +296,7 @@ class Controller:
             Refused: a program, and the robot is not running; too many secondary programs.
         """
         try:
-            compiled = compile_source(text, self._table)
+            compiled = compile_source(text, self._builtins)
         except CompileError as error:
             self.emit(CompileFailed(error.line, error.column, error.text))
             return

@@ -6,10 +6,11 @@ a healthy robot at rest: voltages, temperatures, currents of what is not there.
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.geometry import jacobian_of
 from sim_backend.ur_controller.inputs import Registers
 from sim_backend.ur_controller.terminals import CONFIGURABLE
@@ -18,9 +19,6 @@ from sim_backend.world.kinematics import UR3E
 from wire.rtde.fields import BIT_REGISTERS, DOUBLE_REGISTERS, INT_REGISTERS
 from wire.rtde.modes import RobotMode
 
-if TYPE_CHECKING:
-    from sim_backend.ur_controller.controller import Controller
-
 Getter = Callable[[], Any]
 T = TypeVar("T")
 
@@ -28,7 +26,6 @@ CURRENT_A_PER_NM = 0.1
 """Joint current over joint torque. An assumption: UR publishes none."""
 SUPPLY_V = 48.0
 IDLE_CURRENT_A = 0.5
-TEMPERATURE_C = 30.0
 
 _JOINT_RUNNING, _JOINT_IDLE, _JOINT_POWER_OFF, _JOINT_BOOTING = 253, 255, 239, 247
 _JOINT_MODES = {
@@ -49,7 +46,7 @@ class Outputs:
         getters: by the variable's name; each returns a number, or a list of the field's length.
     """
 
-    def __init__(self, controller: "Controller") -> None:
+    def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self._plant, self._motion = controller.plant, controller.motion
         self._memory: dict[str, tuple[float, Any]] = {}
@@ -126,7 +123,7 @@ class Outputs:
             "time_scale_source": lambda: 0,
             "actual_execution_time": lambda: 0.0,
             "target_execution_time": lambda: 0.0,
-            "joint_temperatures": lambda: [TEMPERATURE_C] * 6,
+            "joint_temperatures": lambda: [controller.temperature_c] * 6,
             "actual_main_voltage": lambda: SUPPLY_V,
             "actual_robot_voltage": lambda: SUPPLY_V if controller.safety.is_powered else 0.0,
             "actual_joint_voltage": lambda: [SUPPLY_V if controller.safety.is_powered else 0.0] * 6,
@@ -152,7 +149,7 @@ class Outputs:
             "tool_analog_input1": lambda: terminals.analog_inputs[3],
             "tool_output_voltage": lambda: terminals.tool_voltage,
             "tool_output_current": lambda: 0.0,
-            "tool_temperature": lambda: TEMPERATURE_C,
+            "tool_temperature": lambda: self._controller.temperature_c,
             "tool_mode": lambda: _TOOL_MODE_IDLE,
             "tool_output_mode": lambda: 0,
             "tool_digital_output0_mode": lambda: 0,

@@ -13,6 +13,7 @@ from sim_backend.ur_controller import events
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Event, Refused
 from sim_backend.ur_controller.listener import Connection
+from sim_backend.ur_controller.outputs import Outputs
 from sim_backend.ur_controller.program_reader import ProgramReader, ProgramTooLongError
 from sim_backend.ur_controller.safety import ASKED_BY_PROGRAM, EMERGENCIES
 from sim_backend.world.kinematics import UR3E
@@ -69,7 +70,7 @@ class PrimaryService:
     again. On the primary port it is told so.
     """
 
-    def __init__(self, controller: Controller, kind: Kind) -> None:
+    def __init__(self, controller: Controller, outputs: Outputs, kind: Kind) -> None:
         self._controller = controller
         self._kind: Kind = kind
         self._readers: dict[Connection, ProgramReader] = {}
@@ -89,10 +90,8 @@ class PrimaryService:
         }
         self._package = {"primary": self._state, "secondary": self._state, "realtime": self._realtime}[kind]
         self._period = 1 if kind == "realtime" else _STATE_TICKS
-        self._realtime_getters = [
-            (controller.output_getter(name) if name else None, count) for name, count in realtime.FIELDS
-        ]
-        self._get = {name: controller.output_getter(name) for name in _STATE_OUTPUTS}
+        self._realtime_getters = [(outputs.getters[name] if name else None, count) for name, count in realtime.FIELDS]
+        self._get = {name: outputs.getters[name] for name in _STATE_OUTPUTS}
         if kind == "primary":
             controller.events.append(self._on_event)
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import CompileFailed, Event, RuntimeFailed
 from sim_backend.ur_controller.listener import Connection
+from sim_backend.ur_controller.outputs import Outputs
 from wire.rtde.codec import REQUEST_LIMIT, FrameReader, PackageType, Recipe, Value
-from wire.rtde.errors import FramingError, PackageError, Reason
+from wire.rtde.errors import FramingError, PackageError, RtdeErrorReason
 from wire.rtde.fields import INPUTS, OUTPUTS, SINCE, FieldType
 from wire.rtde.messages import (
     PROTOCOL_VERSION,
@@ -66,10 +67,11 @@ class RtdeService:
         skipped: data packages left out because their client had not read the ones before.
     """
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Controller, outputs: Outputs) -> None:
         self.sent = 0
         self.skipped = 0
         self._controller = controller
+        self._getters = outputs.getters
         self._version = ControllerVersion(*controller.versions)
         self._clients: dict[Connection, _Client] = {}
         self._holders: dict[str, _Client] = {}
@@ -96,7 +98,7 @@ class RtdeService:
             for kind, payload in client.reader.feed(data):
                 handler = self._handlers.get(kind)
                 if handler is None:
-                    raise PackageError(Reason.UNKNOWN_PACKAGE, f"type {kind} is no package of RTDE")
+                    raise PackageError(RtdeErrorReason.UNKNOWN_PACKAGE, f"type {kind} is no package of RTDE")
                 handler(client, payload)
         except (FramingError, PackageError):
             connection.close()
@@ -142,7 +144,7 @@ class RtdeService:
         if accepted:
             client.outputs = _Outputs(
                 recipe=_recipe(request.names, types, None if unnumbered else _OUTPUT_RECIPE_ID),
-                getters=tuple(self._controller.output_getter(name) for name in request.names),
+                getters=tuple(self._getters[name] for name in request.names),
                 every=math.floor(TICK_RATE_HZ / frequency_hz),
             )
         recipe_id = _OUTPUT_RECIPE_ID if accepted else 0
@@ -156,7 +158,7 @@ class RtdeService:
             client.connection.send(SetupReply((), 0).encode(PackageType.SETUP_INPUTS))
             return
         types = tuple(
-            Reason.IN_USE if self._holders.get(name, client) is not client else self._type_of(name, INPUTS)
+            RtdeErrorReason.IN_USE if self._holders.get(name, client) is not client else self._type_of(name, INPUTS)
             for name in names
         )
         recipe_id = 0
@@ -194,7 +196,7 @@ class RtdeService:
     def _type_of(self, name: str, table: Mapping[str, FieldType]) -> str:
         kind = table.get(name)
         if kind is None or SINCE.get(name, (0, 0, 0)) > self._version[:3]:
-            return Reason.NOT_FOUND
+            return RtdeErrorReason.NOT_FOUND
         return kind.name
 
     def _on_event(self, event: Event) -> None:

@@ -8,6 +8,7 @@ from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.dashboard_server import DashboardService
 from sim_backend.ur_controller.gripper_server import Gripper, GripperService
 from sim_backend.ur_controller.listener import Listener, Service
+from sim_backend.ur_controller.outputs import Outputs
 from sim_backend.ur_controller.primary_server import PrimaryService
 from sim_backend.ur_controller.rtde_server import RtdeService
 from wire.primary import packages, realtime
@@ -44,7 +45,7 @@ class Counters:
     rtde_skipped: int = 0
 
 
-class Stage(Protocol):
+class TickCompanion(Protocol):
     """What surrounds the arm and shares its thread: called once per tick, after it."""
 
     def step(self) -> bool:
@@ -76,14 +77,15 @@ class ControllerServer:
         self.gripper = Gripper()
         self._controller = controller
         self._listener = Listener()
-        self._rtde = RtdeService(controller)
+        outputs = Outputs(controller)
+        self._rtde = RtdeService(controller, outputs)
         self._dashboard = DashboardService(controller)
         services: dict[str, Service] = {
             "rtde": self._rtde,
             "dashboard": self._dashboard,
-            "primary": PrimaryService(controller, "primary"),
-            "secondary": PrimaryService(controller, "secondary"),
-            "realtime": PrimaryService(controller, "realtime"),
+            "primary": PrimaryService(controller, outputs, "primary"),
+            "secondary": PrimaryService(controller, outputs, "secondary"),
+            "realtime": PrimaryService(controller, outputs, "realtime"),
             "gripper": GripperService(self.gripper),
         }
         try:
@@ -106,11 +108,11 @@ class ControllerServer:
         self._listener.publish()
         self.counters.ticks += 1
 
-    def run(self, stage: Stage | None = None) -> None:
+    def run(self, companion: TickCompanion | None = None) -> None:
         """Step every 2 ms by the wall clock, until an exception ends it or a client shuts the controller down.
 
         Args:
-            stage: stepped after every tick.
+            companion: stepped after every tick.
         """
         freeze_garbage()
         metronome = Metronome(TICK_S, spin=has_realtime_scheduling())
@@ -118,7 +120,7 @@ class ControllerServer:
             metronome.wait()
             self.step()
             self._count(metronome)
-            if stage is not None and stage.step():
+            if companion is not None and companion.step():
                 metronome.restart()
 
     def close(self) -> None:

@@ -4,8 +4,7 @@ Zenoh's own threads only fill bounded channels; they never touch the world, and 
 """
 
 import json
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, NoReturn
@@ -14,6 +13,7 @@ import numpy.typing as npt
 import zenoh
 
 from sim_backend.metronome import Metronome
+from sim_backend.requests import RequestError, asked, query_keys
 from sim_backend.zenoh_cell import answers
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire import keys
@@ -47,33 +47,6 @@ class Counters:
     commands_malformed: int = 0
     commands_dropped: int = 0
     queries_refused: int = 0
-
-
-def query_keys(world: str, queries: Mapping[str, str]) -> dict[str, zenoh.KeyExpr]:
-    """Return the keys of a world's queries by name.
-
-    Args:
-        world: name of the world in its keys.
-        queries: patterns of `protocol/keys.py` by name.
-
-    Raises:
-        ValueError: `world` cannot stand in a key.
-    """
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", world):
-        raise ValueError(f"world {world!r}: use letters, digits, '-', '_' and '.', at most 64")
-    return {name: zenoh.KeyExpr(key.format(world=world)) for name, key in queries.items()}
-
-
-def asked(query: zenoh.Query, keys: Mapping[str, zenoh.KeyExpr]) -> str:
-    """Return the name of the one query that is asked.
-
-    Raises:
-        RequestError: its key names none of `keys`, or several.
-    """
-    names = [name for name, key in keys.items() if query.key_expr.intersects(key)]
-    if len(names) != 1:
-        raise answers.RequestError(f"{query.key_expr} names {len(names)} queries, ask one of {', '.join(keys)}")
-    return names[0]
 
 
 class Server:
@@ -171,7 +144,7 @@ class Server:
             try:
                 name = asked(query, self._keys)
                 reply = self._carry_out(name, query)
-            except answers.RequestError as error:
+            except RequestError as error:
                 self.counters.queries_refused += 1
                 query.reply_err(str(error), encoding=zenoh.Encoding.TEXT_PLAIN)
                 return False
@@ -189,7 +162,7 @@ class Server:
         if name == "info":
             return self._info()
         if self._mode is Mode.REAL_TIME:
-            raise answers.RequestError("advance: this world runs in real time and lets its time pass by itself")
+            raise RequestError("advance: this world runs in real time and lets its time pass by itself")
         reply = answers.advance(self._cell, str(query.parameters), payload)
         self.counters.ticks += len(reply) // wire.STATE.itemsize
         self.counters.commands += len(payload) // wire.COMMAND.itemsize

@@ -3,7 +3,7 @@
 from enum import StrEnum
 
 
-class Reason(StrEnum):
+class PrimaryErrorReason(StrEnum):
     """Why bytes are no primary package."""
 
     FRAMING = "framing"
@@ -15,6 +15,6 @@ class Reason(StrEnum):
 class PrimaryError(ValueError):
     """Bytes that are no primary package; `reason` says which kind, the text where and what."""
 
-    def __init__(self, reason: Reason, text: str) -> None:
+    def __init__(self, reason: PrimaryErrorReason, text: str) -> None:
         super().__init__(text)
         self.reason = reason

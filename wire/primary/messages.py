@@ -10,7 +10,7 @@ from enum import IntEnum
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
-from wire.primary.errors import PrimaryError, Reason
+from wire.primary.errors import PrimaryError, PrimaryErrorReason
 
 PROGRAM_STARTED = "PROGRAM_XXX_STARTED"
 PROGRAM_STOPPED = "PROGRAM_XXX_STOPPED"
@@ -321,7 +321,7 @@ def decode_message(content: bytes) -> Received:
 
 def _unpack(layout: struct.Struct, data: bytes, what: str) -> tuple[Any, ...]:
     if len(data) < layout.size:
-        raise PrimaryError(Reason.MALFORMED, f"{what} has {len(data)} bytes, it needs {layout.size}")
+        raise PrimaryError(PrimaryErrorReason.MALFORMED, f"{what} has {len(data)} bytes, it needs {layout.size}")
     return layout.unpack_from(data)
 
 
@@ -337,7 +337,7 @@ def _cut(title: str) -> bytes:
 def _split_title(data: bytes, what: str) -> tuple[str, bytes]:
     """Read a text whose length stands before it, and what follows."""
     if not data or len(data) < 1 + data[0]:
-        raise PrimaryError(Reason.MALFORMED, f"{what} ends within its title")
+        raise PrimaryError(PrimaryErrorReason.MALFORMED, f"{what} ends within its title")
     return _text(data[1 : 1 + data[0]]), data[1 + data[0] :]
 
 

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterator
 from enum import IntEnum
 
-from wire.primary.errors import PrimaryError, Reason
+from wire.primary.errors import PrimaryError, PrimaryErrorReason
 
 PORT = 30001
 SECONDARY_PORT = 30002
@@ -46,7 +46,7 @@ class PackageReader:
             while len(self._buffer) - at >= _HEADER.size:
                 size, kind = _HEADER.unpack_from(self._buffer, at)
                 if not _HEADER.size <= size <= self._limit:
-                    raise PrimaryError(Reason.FRAMING, f"a package of type {kind} claims {size} bytes")
+                    raise PrimaryError(PrimaryErrorReason.FRAMING, f"a package of type {kind} claims {size} bytes")
                 if len(self._buffer) - at < size:
                     break
                 content = bytes(self._buffer[at + _HEADER.size : at + size])

@@ -11,7 +11,7 @@ from enum import IntEnum
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
-from wire.primary.errors import PrimaryError, Reason
+from wire.primary.errors import PrimaryError, PrimaryErrorReason
 
 Vector = tuple[float, ...]
 
@@ -56,7 +56,7 @@ class Layout:
         try:
             return self._struct.pack(*flat)
         except (struct.error, OverflowError) as error:
-            raise PrimaryError(Reason.MALFORMED, f"{values!r} cannot be encoded: {error}") from error
+            raise PrimaryError(PrimaryErrorReason.MALFORMED, f"{values!r} cannot be encoded: {error}") from error
 
     def unpack(self, data: bytes, what: str) -> tuple[Any, ...]:
         """Decode one value per field; bytes beyond the last one are passed over.
@@ -65,7 +65,7 @@ class Layout:
             PrimaryError: MALFORMED, there are too few bytes; names `what`.
         """
         if len(data) < self.size:
-            raise PrimaryError(Reason.MALFORMED, f"{what} has {len(data)} bytes, it needs {self.size}")
+            raise PrimaryError(PrimaryErrorReason.MALFORMED, f"{what} has {len(data)} bytes, it needs {self.size}")
         flat = self._struct.unpack_from(data)
         values: list[Any] = []
         at = 0
@@ -365,10 +365,10 @@ def decode_state(content: bytes) -> list[SubPackage]:
     at = 0
     while at < len(content):
         if len(content) - at < _HEADER.size:
-            raise PrimaryError(Reason.MALFORMED, f"a robot state ends within the header at byte {at}")
+            raise PrimaryError(PrimaryErrorReason.MALFORMED, f"a robot state ends within the header at byte {at}")
         size, kind = _HEADER.unpack_from(content, at)
         if not _HEADER.size <= size <= len(content) - at:
-            raise PrimaryError(Reason.MALFORMED, f"sub-package {kind} at byte {at} claims {size} bytes")
+            raise PrimaryError(PrimaryErrorReason.MALFORMED, f"sub-package {kind} at byte {at} claims {size} bytes")
         if kind in _KNOWN:
             parts.append(_KNOWN[kind].decode(content[at + _HEADER.size : at + size]))
         at += size

@@ -10,7 +10,7 @@ from enum import IntEnum
 from operator import itemgetter
 from typing import Any, cast
 
-from wire.rtde.errors import FramingError, PackageError, Reason
+from wire.rtde.errors import FramingError, PackageError, RtdeErrorReason
 from wire.rtde.fields import FieldType
 
 SIZE_LIMIT = 0xFFFF
@@ -49,7 +49,9 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
     """
     size = HEADER_SIZE + len(payload)
     if size > SIZE_LIMIT:
-        raise PackageError(Reason.MALFORMED, f"a package holds at most {SIZE_LIMIT} bytes, this one has {size}")
+        raise PackageError(
+            RtdeErrorReason.MALFORMED, f"a package holds at most {SIZE_LIMIT} bytes, this one has {size}"
+        )
     return _HEADER.pack(size, kind) + payload
 
 
@@ -113,9 +115,11 @@ class Recipe:
             PackageError: as many types as names are needed, at least one, an id of one byte, and a package that fits.
         """
         if len(names) != len(types) or not names:
-            raise PackageError(Reason.MALFORMED, f"{len(names)} variables and {len(types)} types make no recipe")
+            raise PackageError(
+                RtdeErrorReason.MALFORMED, f"{len(names)} variables and {len(types)} types make no recipe"
+            )
         if recipe_id is not None and not 0 <= recipe_id <= 0xFF:
-            raise PackageError(Reason.MALFORMED, f"a recipe's id is one byte, not {recipe_id}")
+            raise PackageError(RtdeErrorReason.MALFORMED, f"a recipe's id is one byte, not {recipe_id}")
         self.names = tuple(names)
         self.types = tuple(types)
         self.recipe_id = recipe_id
@@ -125,7 +129,9 @@ class Recipe:
         self._package = struct.Struct(f">HB{head}{body}")
         self.size = self._payload.size
         if self._package.size > SIZE_LIMIT:
-            raise PackageError(Reason.MALFORMED, f"a package of {self._package.size} bytes is more than {SIZE_LIMIT}")
+            raise PackageError(
+                RtdeErrorReason.MALFORMED, f"a package of {self._package.size} bytes is more than {SIZE_LIMIT}"
+            )
         self._start = (self._package.size, PackageType.DATA, *(() if recipe_id is None else (recipe_id,)))
         self._counts = tuple(kind.count for kind in types)
         self._group = _grouping(self._counts, len(head))
@@ -147,7 +153,7 @@ class Recipe:
                     raise ValueError
             return self._package.pack(*flat)
         except (struct.error, TypeError, ValueError, OverflowError):
-            raise PackageError(Reason.WRONG_VALUE, self._fault(values)) from None
+            raise PackageError(RtdeErrorReason.WRONG_VALUE, self._fault(values)) from None
 
     def decode(self, payload: bytes) -> tuple[Decoded, ...]:
         """Return the values of a data package's payload: a number, or a tuple of them, for each variable in order.
@@ -157,10 +163,10 @@ class Recipe:
         """
         if self.recipe_id is not None and payload and payload[0] != self.recipe_id:
             text = f"a data package of recipe {payload[0]} where {self.recipe_id} was agreed"
-            raise PackageError(Reason.WRONG_RECIPE, text)
+            raise PackageError(RtdeErrorReason.WRONG_RECIPE, text)
         if len(payload) != self.size:
             text = f"a data package of recipe {self.recipe_id} has {self.size} bytes, this one {len(payload)}"
-            raise PackageError(Reason.MALFORMED, text)
+            raise PackageError(RtdeErrorReason.MALFORMED, text)
         return self._group(self._payload.unpack(payload))
 
     def _fault(self, values: Sequence[Value]) -> str:

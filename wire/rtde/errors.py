@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 
-class Reason(StrEnum):
+class RtdeErrorReason(StrEnum):
     """Why an RTDE operation failed."""
 
     FRAMING = "framing"
@@ -34,7 +34,7 @@ class Reason(StrEnum):
 class RtdeError(Exception):
     """Root of all errors of RTDE; `reason` says which kind, the text what happened and what to do."""
 
-    def __init__(self, reason: Reason, text: str) -> None:
+    def __init__(self, reason: RtdeErrorReason, text: str) -> None:
         super().__init__(text)
         self.reason = reason
 
@@ -43,7 +43,7 @@ class FramingError(RtdeError):
     """The stream is out of step and cannot be mended: close the connection."""
 
     def __init__(self, text: str) -> None:
-        super().__init__(Reason.FRAMING, text)
+        super().__init__(RtdeErrorReason.FRAMING, text)
 
 
 class PackageError(RtdeError):
@@ -54,12 +54,12 @@ class SetupError(RtdeError):
     """The controller refused variables of a recipe.
 
     Attributes:
-        refused: each refused variable and why, `Reason.NOT_FOUND` or `Reason.IN_USE`.
+        refused: each refused variable and why, `RtdeErrorReason.NOT_FOUND` or `RtdeErrorReason.IN_USE`.
     """
 
-    def __init__(self, refused: Mapping[str, Reason]) -> None:
-        held = [name for name, reason in refused.items() if reason is Reason.IN_USE]
-        unknown = [name for name, reason in refused.items() if reason is Reason.NOT_FOUND]
+    def __init__(self, refused: Mapping[str, RtdeErrorReason]) -> None:
+        held = [name for name, reason in refused.items() if reason is RtdeErrorReason.IN_USE]
+        unknown = [name for name, reason in refused.items() if reason is RtdeErrorReason.NOT_FOUND]
         parts: list[str] = []
         if held:
             parts.append(
@@ -68,5 +68,5 @@ class SetupError(RtdeError):
             )
         if unknown:
             parts.append(f"not known to the controller: {', '.join(unknown)}; check the spelling and its version")
-        super().__init__(Reason.IN_USE if held else Reason.NOT_FOUND, "; ".join(parts))
+        super().__init__(RtdeErrorReason.IN_USE if held else RtdeErrorReason.NOT_FOUND, "; ".join(parts))
         self.refused = dict(refused)

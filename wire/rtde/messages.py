@@ -10,7 +10,7 @@ from enum import IntEnum
 from typing import NamedTuple, Self
 
 from wire.rtde.codec import PackageType, Recipe, frame
-from wire.rtde.errors import PackageError, Reason, SetupError
+from wire.rtde.errors import PackageError, RtdeErrorReason, SetupError
 from wire.rtde.fields import FieldType
 
 PORT = 30004
@@ -180,14 +180,22 @@ class SetupReply:
         """
         if len(self.types) != len(names):
             text = f"{len(self.types)} types came back for {len(names)} variables: {', '.join(self.types)}"
-            raise PackageError(Reason.MALFORMED, text)
+            raise PackageError(RtdeErrorReason.MALFORMED, text)
         answers = list(zip(names, self.types, strict=True))
-        if refused := {name: Reason(kind) for name, kind in answers if kind in (Reason.NOT_FOUND, Reason.IN_USE)}:
+        if refused := {
+            name: RtdeErrorReason(kind)
+            for name, kind in answers
+            if kind in (RtdeErrorReason.NOT_FOUND, RtdeErrorReason.IN_USE)
+        }:
             raise SetupError(refused)
         if unknown := [f"{name} as {kind!r}" for name, kind in answers if kind not in FieldType.__members__]:
-            raise PackageError(Reason.MALFORMED, f"the controller gives {', '.join(unknown)}, which is no type of RTDE")
+            raise PackageError(
+                RtdeErrorReason.MALFORMED, f"the controller gives {', '.join(unknown)}, which is no type of RTDE"
+            )
         if self.recipe_id == 0:
-            raise PackageError(Reason.REFUSED, f"the controller accepts each of {', '.join(names)} but not the recipe")
+            raise PackageError(
+                RtdeErrorReason.REFUSED, f"the controller accepts each of {', '.join(names)} but not the recipe"
+            )
         return Recipe(names, [FieldType[kind] for kind in self.types], self.recipe_id)
 
 
@@ -238,7 +246,7 @@ class TextMessage:
 
 def _check(holds: bool, rule: str, payload: bytes) -> None:
     if not holds:
-        raise PackageError(Reason.MALFORMED, f"{rule}, not {len(payload)} bytes: {payload[:32].hex()}")
+        raise PackageError(RtdeErrorReason.MALFORMED, f"{rule}, not {len(payload)} bytes: {payload[:32].hex()}")
 
 
 def _encode_names(names: Sequence[str]) -> bytes:

@@ -21,7 +21,7 @@ _NOT_REMOTE = "please switch robot to Remote Control"
 _TOO_EARLY = "Cannot unlock protective stop until 5s"
 
 
-class Reason(StrEnum):
+class DashboardErrorReason(StrEnum):
     """Why a dashboard command failed."""
 
     UNREACHABLE = "unreachable"
@@ -48,7 +48,7 @@ class DashboardError(Exception):
         reply: the controller's line; empty where there was none.
     """
 
-    def __init__(self, reason: Reason, text: str, reply: str = "") -> None:
+    def __init__(self, reason: DashboardErrorReason, text: str, reply: str = "") -> None:
         super().__init__(text)
         self.reason = reason
         self.reply = reply
@@ -101,18 +101,20 @@ class DashboardClient:
                 streams = await asyncio.open_connection(self._host, self._port, limit=_LINE_BYTES)
         except TimeoutError as error:
             raise DashboardError(
-                Reason.UNREACHABLE, f"no dashboard server answers at {where}; check the address"
+                DashboardErrorReason.UNREACHABLE, f"no dashboard server answers at {where}; check the address"
             ) from error
         except OSError as error:
             raise DashboardError(
-                Reason.UNREACHABLE,
+                DashboardErrorReason.UNREACHABLE,
                 f"cannot reach the dashboard server at {where}: {error}; is the controller on, the address right?",
             ) from error
         self._streams = streams
         greeting = await self._line(*streams, "the greeting")
         if "Dashboard Server" not in greeting:
             await self.close()
-            raise DashboardError(Reason.UNREACHABLE, f"{where} greets with {greeting!r}: no dashboard server", greeting)
+            raise DashboardError(
+                DashboardErrorReason.UNREACHABLE, f"{where} greets with {greeting!r}: no dashboard server", greeting
+            )
 
     async def close(self) -> None:
         """Close the connection, if there is one."""
@@ -131,11 +133,13 @@ class DashboardClient:
             raise ValueError(f"a dashboard command is one line, not {command!r}")
         async with self._turn:
             if self._streams is None:
-                raise DashboardError(Reason.LOST, f"`{command}`: not connected to the dashboard server; connect first")
+                raise DashboardError(
+                    DashboardErrorReason.LOST, f"`{command}`: not connected to the dashboard server; connect first"
+                )
             reply = await self._line(*self._streams, f"`{command}`", command.encode() + b"\n")
         if _NOT_REMOTE in reply:
             text = f"`{command}`: the robot is not in remote control; switch it on the pendant, then connect again"
-            raise DashboardError(Reason.NOT_REMOTE, text, reply)
+            raise DashboardError(DashboardErrorReason.NOT_REMOTE, text, reply)
         return reply
 
     # --- arm --------------------------------------------------------------------------------------------------------
@@ -183,7 +187,7 @@ class DashboardClient:
         while (mode := await self.robot_mode()) not in modes:
             if clock() > deadline_s:
                 text = f"the arm stayed in {mode} for {timeout_s:g} s instead of reaching {' or '.join(modes)}"
-                raise DashboardError(Reason.TIMEOUT, text)
+                raise DashboardError(DashboardErrorReason.TIMEOUT, text)
             await asyncio.sleep(POLL_S)
         return mode
 
@@ -269,15 +273,15 @@ class DashboardClient:
             text = (
                 "a protective stop can be unlocked 5 s after it occurred, once its cause was inspected; ask again then"
             )
-            raise DashboardError(Reason.TOO_EARLY, text, reply)
-        raise DashboardError(Reason.REFUSED, f"`{command}` was refused: {reply}", reply)
+            raise DashboardError(DashboardErrorReason.TOO_EARLY, text, reply)
+        raise DashboardError(DashboardErrorReason.REFUSED, f"`{command}` was refused: {reply}", reply)
 
     async def _value(self, question: str, pattern: str) -> str:
         reply = await self.ask(question)
         found = re.match(pattern, reply)
         if found is None:
             await self.close()
-            raise DashboardError(Reason.UNEXPECTED, f"`{question}` was answered with {reply!r}", reply)
+            raise DashboardError(DashboardErrorReason.UNEXPECTED, f"`{question}` was answered with {reply!r}", reply)
         return found[1]
 
     async def _line(
@@ -293,14 +297,16 @@ class DashboardClient:
         except TimeoutError as error:
             await self.close()
             text = f"{what} was not answered within {self._timeout_s:g} s"
-            raise DashboardError(Reason.TIMEOUT, text) from error
+            raise DashboardError(DashboardErrorReason.TIMEOUT, text) from error
         except (OSError, ValueError) as error:  # readline raises ValueError for a line beyond its limit
             await self.close()
-            raise DashboardError(Reason.LOST, f"the dashboard connection broke at {what}: {error}") from error
+            raise DashboardError(
+                DashboardErrorReason.LOST, f"the dashboard connection broke at {what}: {error}"
+            ) from error
         except asyncio.CancelledError:  # its answer is still to come, and would be taken for the next one
             self._drop()
             raise
         if not line.endswith(b"\n"):
             await self.close()
-            raise DashboardError(Reason.LOST, f"the dashboard server closed the connection at {what}")
+            raise DashboardError(DashboardErrorReason.LOST, f"the dashboard server closed the connection at {what}")
         return line.decode("utf-8", "replace").rstrip()

@@ -14,13 +14,13 @@ import structlog
 from service.config import CellConfig, UrSection
 from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, SampleSink, Setup
 from service.drivers.camera import Camera
-from service.drivers.stage import Stage
 from service.drivers.ur import gate, recovery
 from service.drivers.ur.dashboard import DashboardError
 from service.drivers.ur.link import Mode, UrLink
 from service.drivers.ur.program import ProgramError, render
 from service.drivers.ur.registers import Command
 from service.drivers.ur.samples import Package, SampleReader
+from service.drivers.world_setup import WorldSetup
 from service.faults import FaultCode
 from wire.records import TICK_S, Program
 from wire.rtde.modes import RuntimeState
@@ -50,7 +50,7 @@ class UrDriver:
         mode: `lockstep` where somebody else advances an emulated controller: time is then the controller's own.
         clock: monotonic seconds of the host, in real time.
         camera: says where the hole is; None where nobody does.
-        stage: lays out the world of an emulated controller; None for a real arm.
+        world_setup: lays out the world of an emulated controller; None for a real arm.
 
     Attributes:
         checks: what the last start-up gate found.
@@ -69,19 +69,19 @@ class UrDriver:
         mode: Mode = "real_time",
         clock: Callable[[], float] = time.monotonic,
         camera: Camera | None = None,
-        stage: Stage | None = None,
+        world_setup: WorldSetup | None = None,
     ) -> None:
         if config.ur is None:
             raise ProgramError("the configuration has no [ur] section")
         self.mode: Mode = mode
         self.name = f"{'emulated ' if config.ur.simulated else ''}UR controller at {config.ur.host}"
-        self.simulated = stage is not None
+        self.simulated = world_setup is not None
         self.checks: tuple[gate.Check, ...] = ()
         self._ur = config.ur
         self._preflight = config.preflight
         self._host_clock = clock
         self._camera = camera
-        self._stage = stage
+        self._world_setup = world_setup
         self._reader = SampleReader(config.ur)
         # there and back, each way as late as a sample may be
         echo_s = 2.0 * config.limits.sample_age_s + ECHO_MARGIN_S
@@ -115,7 +115,7 @@ class UrDriver:
         """
         self._sink = None
         self._episode = 0
-        for helper in (self._camera, self._stage):
+        for helper in (self._camera, self._world_setup):
             if helper is not None:
                 await helper.open()
         await self._link.open()
@@ -137,7 +137,7 @@ class UrDriver:
         Raises:
             DriverError: AUTHORITY, the arm is not ours to move; PROTOCOL, a seed for a real arm.
         """
-        if self._stage is None and setup.seed is not None:
+        if self._world_setup is None and setup.seed is not None:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name} is real and has no seed: leave it out")
         facts = await gate.measure_program(self._link, self._ur, prove_watchdog=not self._proven)
         checks = gate.judge_program(facts, self._ur)
@@ -145,8 +145,8 @@ class UrDriver:
             raise DriverError(FaultCode.AUTHORITY, "; ".join(check.text for check in failed))
         self._note(checks)
         self._proven = self._proven or facts.watchdog_s is not None
-        if self._stage is not None:
-            await self._lay_out(self._stage, setup)
+        if self._world_setup is not None:
+            await self._lay_out(self._world_setup, setup)
 
     def engage(self, law: ComplianceLaw, limits: Limits) -> None:
         self._link.outbox.put(
@@ -186,14 +186,14 @@ class UrDriver:
         errands = [task for task in (self._unlocking, self._escalation) if task is not None]
         await asyncio.gather(*errands, return_exceptions=True)
         await self._link.close()
-        for helper in (self._camera, self._stage):
+        for helper in (self._camera, self._world_setup):
             if helper is not None:
                 await helper.close()
 
-    async def _lay_out(self, stage: Stage, setup: Setup) -> None:
+    async def _lay_out(self, world_setup: WorldSetup, setup: Setup) -> None:
         """Last of all that precedes a run, so that nothing but the run comes between it and the seed's world."""
         self._episode = 0  # the old world's samples end
-        laid_out = await stage.lay_out(setup)
+        laid_out = await world_setup.lay_out(setup)
         camera = self._camera
 
         def is_shown(package: Package) -> bool:

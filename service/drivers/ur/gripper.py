@@ -31,7 +31,7 @@ _ACK = b"ack"
 _GRAVE_FAULT = 8  # the manual's lower numbers say what is being waited for
 
 
-class Reason(StrEnum):
+class GripperErrorReason(StrEnum):
     """Why the gripper did not do what it was asked."""
 
     UNREACHABLE = "unreachable"
@@ -50,7 +50,7 @@ class Reason(StrEnum):
 class GripperError(Exception):
     """A gripper's failure; `reason` says which kind, the text what to do."""
 
-    def __init__(self, reason: Reason, text: str) -> None:
+    def __init__(self, reason: GripperErrorReason, text: str) -> None:
         super().__init__(text)
         self.reason = reason
 
@@ -144,7 +144,7 @@ class Gripper:
         except (OSError, TimeoutError) as error:
             where = f"{self.host}:{self.port}"
             text = f"cannot reach the gripper at {where}: {error or 'no answer'}; is its URCap installed?"
-            raise GripperError(Reason.UNREACHABLE, text) from error
+            raise GripperError(GripperErrorReason.UNREACHABLE, text) from error
 
     async def disconnect(self) -> None:
         """Close the connection; the gripper goes on holding."""
@@ -205,7 +205,7 @@ class Gripper:
         force = round(255 * _fraction(force_n, FORCE_N, "force_n"))
         if not (await self.status()).is_active:
             text = "the gripper is not activated; activate it, with nothing between its fingers"
-            raise GripperError(Reason.NOT_ACTIVE, text)
+            raise GripperError(GripperErrorReason.NOT_ACTIVE, text)
         await self._set(POS=position, SPE=speed, FOR=force, GTO=1)
         return await self._until(
             lambda seen: seen.requested == position and not seen.is_moving, "to come to rest", MOTION_TIMEOUT_S
@@ -220,18 +220,20 @@ class Gripper:
             status = await self.status()
             if status.fault >= _GRAVE_FAULT and not resets:
                 text = f"the gripper reports fault {status.fault}; see its manual, then activate it again"
-                raise GripperError(Reason.FAULT, text)
+                raise GripperError(GripperErrorReason.FAULT, text)
             if done(status):
                 return status
             if clock() > deadline_s:
-                raise GripperError(Reason.TIMEOUT, f"the gripper took more than {timeout_s:g} s {what}: {status}")
+                raise GripperError(
+                    GripperErrorReason.TIMEOUT, f"the gripper took more than {timeout_s:g} s {what}: {status}"
+                )
             await asyncio.sleep(POLL_S)
 
     async def _set(self, **values: int) -> None:
         request = "SET " + " ".join(f"{name} {value}" for name, value in values.items())
         reply = await self._ask(request, lambda reply: reply.startswith(_ACK) or reply.endswith(b"\n"))
         if not reply.startswith(_ACK):
-            raise GripperError(Reason.REFUSED, f"`{request}` was answered with {reply!r}")
+            raise GripperError(GripperErrorReason.REFUSED, f"`{request}` was answered with {reply!r}")
 
     async def _get(self, name: str) -> int:
         reply = await self._ask(f"GET {name}", lambda reply: reply.endswith(b"\n"))
@@ -239,13 +241,13 @@ class Gripper:
             case [first, value] if first == name.encode() and value.isdigit():
                 return int(value)
             case _:
-                raise GripperError(Reason.REFUSED, f"`GET {name}` was answered with {reply!r}")
+                raise GripperError(GripperErrorReason.REFUSED, f"`GET {name}` was answered with {reply!r}")
 
     async def _ask(self, request: str, complete: Callable[[bytes], bool]) -> bytes:
         """Send a line and read until its answer is complete: an acknowledgement has no line's end."""
         async with self._turn:
             if self._streams is None:
-                raise GripperError(Reason.LOST, f"`{request}`: not connected to the gripper; connect first")
+                raise GripperError(GripperErrorReason.LOST, f"`{request}`: not connected to the gripper; connect first")
             reader, writer = self._streams
             try:
                 if writer.is_closing():
@@ -264,10 +266,10 @@ class Gripper:
                 writer.close()
                 if isinstance(error, TimeoutError):
                     text = f"`{request}` was not answered within {REPLY_TIMEOUT_S:g} s"
-                    raise GripperError(Reason.TIMEOUT, text) from error
+                    raise GripperError(GripperErrorReason.TIMEOUT, text) from error
                 if isinstance(error, OSError):
                     raise GripperError(
-                        Reason.LOST, f"the gripper's connection broke at `{request}`: {error}"
+                        GripperErrorReason.LOST, f"the gripper's connection broke at `{request}`: {error}"
                     ) from error
                 raise
 

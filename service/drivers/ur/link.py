@@ -22,7 +22,7 @@ from service.drivers.ur.script_upload import UploadError, upload
 from service.faults import FaultCode
 from wire.records import Program
 from wire.rtde.codec import Decoded
-from wire.rtde.errors import Reason, RtdeError
+from wire.rtde.errors import RtdeError, RtdeErrorReason
 from wire.rtde.modes import RuntimeState
 
 Mode = Literal["real_time", "lockstep"]
@@ -39,12 +39,12 @@ PATIENCE_S = 10.0
 """Host time beyond which a controller whose own time does not pass is not waited for."""
 
 _CODES = {
-    Reason.IN_USE: FaultCode.AUTHORITY,
-    Reason.NOT_FOUND: FaultCode.PROTOCOL,
-    Reason.UNREACHABLE: FaultCode.LINK,
-    Reason.TIMEOUT: FaultCode.LINK,
-    Reason.CLOSED: FaultCode.LINK,
-    Reason.REFUSED: FaultCode.LINK,
+    RtdeErrorReason.IN_USE: FaultCode.AUTHORITY,
+    RtdeErrorReason.NOT_FOUND: FaultCode.PROTOCOL,
+    RtdeErrorReason.UNREACHABLE: FaultCode.LINK,
+    RtdeErrorReason.TIMEOUT: FaultCode.LINK,
+    RtdeErrorReason.CLOSED: FaultCode.LINK,
+    RtdeErrorReason.REFUSED: FaultCode.LINK,
 }
 
 

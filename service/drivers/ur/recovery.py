@@ -1,7 +1,7 @@
 """What an operator asks of the arm's power, brakes and stops, through the dashboard; nothing here happens by itself."""
 
 from service.config import UrSection
-from service.drivers.ur.dashboard import DashboardClient, DashboardError, Reason
+from service.drivers.ur.dashboard import DashboardClient, DashboardError, DashboardErrorReason
 
 
 def dashboard(ur: UrSection) -> DashboardClient:
@@ -49,7 +49,7 @@ async def unlock(ur: UrSection) -> None:
         status = await client.safety_status()
         if status != "PROTECTIVE_STOP":
             text = f"the safety system says {status}: there is no protective stop to unlock"
-            raise DashboardError(Reason.REFUSED, text)
+            raise DashboardError(DashboardErrorReason.REFUSED, text)
         await _end_program(client)  # one that the stop has paused would go on when somebody presses play
         await client.close_safety_popup()
         await client.unlock_protective_stop()

@@ -12,7 +12,7 @@ from typing import TypeVar, cast
 
 from service.drivers.ur.rtde_link import LinkError, RtdeLink, open_link
 from wire.rtde.codec import HEADER_SIZE, Decoded, PackageType, Recipe, Value, frame
-from wire.rtde.errors import PackageError, Reason, RtdeError
+from wire.rtde.errors import PackageError, RtdeError, RtdeErrorReason
 from wire.rtde.messages import (
     PORT,
     PROTOCOL_VERSION,
@@ -113,12 +113,14 @@ class RtdeClient:
             late = isinstance(error, TimeoutError)
             text = f"{self.name}: {f'no connection in {self._timeout_s} s' if late else error}"
             hint = "is the controller on, the address right, RTDE enabled under Security/Services?"
-            raise LinkError(Reason.TIMEOUT if late else Reason.UNREACHABLE, f"{text}; {hint}") from error
+            raise LinkError(
+                RtdeErrorReason.TIMEOUT if late else RtdeErrorReason.UNREACHABLE, f"{text}; {hint}"
+            ) from error
         accepted = await self._ask(encode_version_request(), PackageType.PROTOCOL_VERSION, decode_accepted)
         if not accepted:
             self._drop()
             text = f"{self.name} does not speak version {PROTOCOL_VERSION} of the protocol: update its software"
-            raise LinkError(Reason.REFUSED, text)
+            raise LinkError(RtdeErrorReason.REFUSED, text)
         kind = PackageType.CONTROLLER_VERSION
         self.controller_version = await self._ask(frame(kind), kind, ControllerVersion.decode)
 
@@ -164,7 +166,9 @@ class RtdeClient:
             link.limit(max(HEADER_SIZE + self.outputs.size, _LONGEST_TEXT))
         if not await self._ask(frame(PackageType.START), PackageType.START, decode_accepted):
             self._drop()
-            raise LinkError(Reason.REFUSED, f"{self.name} does not start the data; is an output recipe set up?")
+            raise LinkError(
+                RtdeErrorReason.REFUSED, f"{self.name} does not start the data; is an output recipe set up?"
+            )
         if not self.received:
             await self._ask(b"", PackageType.DATA, len)
         self._link_or_error()
@@ -215,14 +219,14 @@ class RtdeClient:
             self._drop()
             said = f"; it said: {link.last_text}" if link.last_text else ""
             text = f"{self.name} did not answer {kind.name} in {self._timeout_s} s{said}"
-            raise LinkError(Reason.TIMEOUT, text) from None
+            raise LinkError(RtdeErrorReason.TIMEOUT, text) from None
         except BaseException:
             self._drop()
             raise
 
     def _link_or_error(self) -> RtdeLink:
         if self._link is None:
-            raise LinkError(Reason.CLOSED, f"{self.name}: no connection; connect first")
+            raise LinkError(RtdeErrorReason.CLOSED, f"{self.name}: no connection; connect first")
         if self._link.error is not None:
             raise self._link.error
         return self._link
@@ -230,11 +234,11 @@ class RtdeClient:
     def _drop(self) -> None:
         link, self._link = self._link, None
         if link is not None:
-            link.fail(LinkError(Reason.CLOSED, f"{self.name}: closed from this side"))
+            link.fail(LinkError(RtdeErrorReason.CLOSED, f"{self.name}: closed from this side"))
 
     def _receive(self, payload: bytes, arrival_s: float) -> None:
         if self.outputs is None:
-            raise PackageError(Reason.UNEXPECTED, "data before any were asked for")
+            raise PackageError(RtdeErrorReason.UNEXPECTED, "data before any were asked for")
         values = self.outputs.decode(payload)
         stamp = cast("float", values[self._stamp_at])
         if not 0.5 < (stamp - self._newest_stamp) * self._packages_per_s < 1.5:
@@ -245,7 +249,7 @@ class RtdeClient:
 
     def _note_gap(self, stamp: float) -> None:
         if not math.isfinite(stamp):
-            raise PackageError(Reason.MALFORMED, f"a timestamp of {stamp}")
+            raise PackageError(RtdeErrorReason.MALFORMED, f"a timestamp of {stamp}")
         if not self.received:
             return
         steps = round((stamp - self._newest_stamp) * self._packages_per_s)
@@ -258,7 +262,7 @@ class RtdeClient:
         if link is not self._link or link.error is not None:
             return
         if self.received == received:
-            link.fail(LinkError(Reason.TIMEOUT, f"{self.name}: no data for {silence_s} s"))
+            link.fail(LinkError(RtdeErrorReason.TIMEOUT, f"{self.name}: no data for {silence_s} s"))
         else:
             asyncio.get_running_loop().call_later(silence_s, self._watch, link, silence_s, self.received)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import cast
 
 from wire.rtde.codec import FrameReader, PackageType
-from wire.rtde.errors import PackageError, Reason, RtdeError
+from wire.rtde.errors import PackageError, RtdeError, RtdeErrorReason
 from wire.rtde.messages import TextMessage
 
 SEND_BUFFER = 2048
@@ -82,7 +82,7 @@ class RtdeLink(asyncio.Protocol):
         except BlockingIOError:
             return False
         except OSError as error:
-            self.fail(LinkError(Reason.CLOSED, f"{self._name}: {error}"))
+            self.fail(LinkError(RtdeErrorReason.CLOSED, f"{self._name}: {error}"))
             return False
         if sent < len(package):
             self._transport.write(package[sent:])
@@ -118,7 +118,7 @@ class RtdeLink(asyncio.Protocol):
             self.fail(failure)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        error = LinkError(Reason.CLOSED, f"{self._name}: {exc or 'the controller closed the connection'}")
+        error = LinkError(RtdeErrorReason.CLOSED, f"{self._name}: {exc or 'the controller closed the connection'}")
         self.fail(error)
         self.closed.set_result(None)
         self._on_lost(self, self.error or error)
@@ -134,9 +134,11 @@ class RtdeLink(asyncio.Protocol):
             self.last_text = message.message
             self._on_text(message)
         elif kind in _TYPES:
-            raise PackageError(Reason.UNEXPECTED, f"an answer to {PackageType(kind).name} that nobody asked for")
+            raise PackageError(
+                RtdeErrorReason.UNEXPECTED, f"an answer to {PackageType(kind).name} that nobody asked for"
+            )
         else:
-            raise PackageError(Reason.UNKNOWN_PACKAGE, f"a package of type {kind}, which RTDE does not have")
+            raise PackageError(RtdeErrorReason.UNKNOWN_PACKAGE, f"a package of type {kind}, which RTDE does not have")
 
 
 async def open_link(

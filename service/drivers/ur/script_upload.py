@@ -24,7 +24,7 @@ from wire.primary.packages import PORT, PackageReader, PackageType
 from wire.primary.state import RobotMode, decode_state
 from wire.rtde import modes
 
-__all__ = ["PORT", "Reason", "UploadError", "upload"]
+__all__ = ["PORT", "UploadError", "UploadErrorReason", "upload"]
 
 START_TIMEOUT_S = 5.0
 _READ_BYTES = 16384
@@ -32,7 +32,7 @@ _GRAVE = (ReportLevel.VIOLATION, ReportLevel.FAULT, ReportLevel.CRITICAL_FAULT)
 _DEFINITION = re.compile(r"\s*def\s+([A-Za-z_]\w*)\s*\(")
 
 
-class Reason(StrEnum):
+class UploadErrorReason(StrEnum):
     """Why a program does not run."""
 
     UNREACHABLE = "unreachable"
@@ -60,7 +60,7 @@ class UploadError(Exception):
         column: from 1; 0 likewise.
     """
 
-    def __init__(self, reason: Reason, text: str, line: int = 0, column: int = 0) -> None:
+    def __init__(self, reason: UploadErrorReason, text: str, line: int = 0, column: int = 0) -> None:
         super().__init__(text)
         self.reason = reason
         self.line = line
@@ -89,7 +89,7 @@ async def upload(host: str, port: int, text: str, *, timeout_s: float = START_TI
             await _run(host, port, program, definition[1], skipped)
     except TimeoutError as error:
         what = f"{host}:{port} did not report within {timeout_s:g} s that `{definition[1]}` runs"
-        raise UploadError(Reason.TIMEOUT, f"{what}; is the robot in remote control?") from error
+        raise UploadError(UploadErrorReason.TIMEOUT, f"{what}; is the robot in remote control?") from error
 
 
 def _begin(text: str) -> tuple[int, str]:
@@ -105,7 +105,9 @@ async def _run(host: str, port: int, program: str, name: str, skipped: int) -> N
     try:
         reader, writer = await asyncio.open_connection(host, port)
     except OSError as error:
-        raise UploadError(Reason.UNREACHABLE, f"cannot reach the primary port {host}:{port}: {error}") from error
+        raise UploadError(
+            UploadErrorReason.UNREACHABLE, f"cannot reach the primary port {host}:{port}: {error}"
+        ) from error
     try:
         packages = _packages(reader)
         await _await_running(packages)
@@ -119,7 +121,7 @@ async def _run(host: str, port: int, program: str, name: str, skipped: int) -> N
                 if isinstance(package, Key) and (package.title, package.text) == (PROGRAM_STARTED, name):
                     return
     except (OSError, PrimaryError) as error:
-        raise UploadError(Reason.LOST, f"the connection to {host}:{port} broke: {error}") from error
+        raise UploadError(UploadErrorReason.LOST, f"the connection to {host}:{port} broke: {error}") from error
     finally:
         writer.close()
         with contextlib.suppress(OSError):
@@ -139,7 +141,7 @@ async def _packages(reader: asyncio.StreamReader) -> AsyncIterator[RobotMode | M
                 message = decode_message(content).message
                 if message is not None:
                     yield message
-    raise UploadError(Reason.LOST, "the controller closed the connection")
+    raise UploadError(UploadErrorReason.LOST, "the controller closed the connection")
 
 
 async def _await_running(packages: AsyncIterator[RobotMode | Message]) -> None:
@@ -148,12 +150,16 @@ async def _await_running(packages: AsyncIterator[RobotMode | Message]) -> None:
         if not isinstance(package, RobotMode):
             continue
         if package.is_emergency_stopped:
-            raise UploadError(Reason.NOT_RUNNING, "the arm is emergency-stopped; release, power on, release the brakes")
+            raise UploadError(
+                UploadErrorReason.NOT_RUNNING, "the arm is emergency-stopped; release, power on, release the brakes"
+            )
         if package.is_protective_stopped:
-            raise UploadError(Reason.NOT_RUNNING, "the arm is in a protective stop; inspect the cause, then unlock it")
+            raise UploadError(
+                UploadErrorReason.NOT_RUNNING, "the arm is in a protective stop; inspect the cause, then unlock it"
+            )
         if package.robot_mode != modes.RobotMode.RUNNING:
             text = f"the arm is in robot mode {package.robot_mode}, not RUNNING; power it on and release the brakes"
-            raise UploadError(Reason.NOT_RUNNING, text)
+            raise UploadError(UploadErrorReason.NOT_RUNNING, text)
         return
 
 
@@ -161,11 +167,11 @@ def _raise_error(message: Message, skipped: int) -> None:
     if isinstance(message, RuntimeException):
         line = message.line + skipped if message.line > 0 else 0
         place = f"line {line}, column {message.column}: " if line else ""
-        raise UploadError(Reason.SCRIPT, f"{place}{message.text}", line, message.column)
+        raise UploadError(UploadErrorReason.SCRIPT, f"{place}{message.text}", line, message.column)
     if isinstance(message, ErrorCode):
         if message.code == ErrorCode.READ_ONLY:
             text = "the controller takes no program over this connection: switch the robot to remote control, try again"
-            raise UploadError(Reason.NOT_REMOTE, text)
+            raise UploadError(UploadErrorReason.NOT_REMOTE, text)
         if message.level in _GRAVE:
             text = f"the controller reports C{message.code}A{message.argument}: {message.text or 'no detail'}"
-            raise UploadError(Reason.CONTROLLER, text)
+            raise UploadError(UploadErrorReason.CONTROLLER, text)

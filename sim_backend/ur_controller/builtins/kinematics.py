@@ -1,10 +1,11 @@
 """URScript's kinematics, and the targets of the motion."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.geometry import compose
 from sim_backend.ur_controller.motion.inverse import inverse_at
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Value
@@ -15,9 +16,6 @@ from sim_backend.world.kinematics import JOINT_RANGE_RAD, KinematicsError
 
 from .motion import NO_SOLUTION
 
-if TYPE_CHECKING:
-    from sim_backend.ur_controller.controller import Controller
-
 ACTIVE_TCP = "active_tcp"
 _SOLUTION_COST, _JACOBIAN_COST = 1000, 500
 """Operations that the eight solutions, and a Jacobian, count for beyond those of any call."""
@@ -25,7 +23,7 @@ _MEASURED: list[float] = []
 """Default of joint angles that a script leaves out: those measured now."""
 
 
-def kinematics_builtins(controller: "Controller") -> dict[str, Builtin]:
+def kinematics_builtins(controller: Controller) -> dict[str, Builtin]:
     """The kinematic functions of one controller, by the names that scripts call."""
     motion = controller.motion
     plant = controller.plant

@@ -5,18 +5,16 @@ leaves the arm to come to rest by itself.
 """
 
 from collections.abc import Callable, Generator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.motion import ForceTask, Motion
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Value
 from sim_backend.ur_controller.script.values import integer, is_list, number, pose, quantities, text_of_kind, truth
 from sim_backend.world.kinematics import JOINT_SPEED_RAD_S, KinematicsError
 from wire.records import TICK_S
-
-if TYPE_CHECKING:
-    from sim_backend.ur_controller.controller import Controller
 
 ANOTHER_THREAD = "Another thread is already controlling the robot"
 NO_SOLUTION = "Unable to find an inverse kinematics solution"
@@ -32,7 +30,7 @@ _LEAST, _MOST = 1e-9, 1e6
 """Of speeds, accelerations, times and radii: beyond any motion, and far from what floats cannot hold."""
 
 
-def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
+def motion_builtins(controller: Controller) -> dict[str, Builtin]:
     """The motion functions of one controller, by the names that scripts call."""
     motion = controller.motion
     plant = controller.plant

@@ -1,20 +1,18 @@
 """Script builtins for the general-purpose registers and the watchdog over RTDE's input packages."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.inputs import Action
 from sim_backend.ur_controller.script import Builtin, ScriptRuntimeError
 from sim_backend.ur_controller.script.values import LARGEST_INT, LEAST_INT, Value, integer, number, text, truth
 from wire.rtde.fields import INPUTS
 
-if TYPE_CHECKING:
-    from sim_backend.ur_controller.controller import Controller
-
 _ACTIONS: dict[str, Action] = {"ignore": "ignore", "pause": "pause", "stop": "stop"}
 
 
-def register_builtins(controller: "Controller") -> dict[str, Builtin]:
+def register_builtins(controller: Controller) -> dict[str, Builtin]:
     """Builtins on the registers and watchdogs of `controller`."""
     inputs, outputs = controller.inputs.registers, controller.output_registers
     input_ints, input_doubles, input_bits = inputs.ints, inputs.doubles, inputs.bits

@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Callable, Generator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sim_backend.ur_controller.builtins.strings import text_of
+from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Popup, Text
 from sim_backend.ur_controller.safety import ASKED_BY_PROGRAM
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Struct
@@ -21,16 +22,13 @@ from sim_backend.ur_controller.script.values import (
 )
 from wire.records import TICK_S
 
-if TYPE_CHECKING:
-    from sim_backend.ur_controller.controller import Controller
-
 _KEPT: list[float] = []
 """Default of a vector that stays as it is."""
 _CONFIGURING_COST = 150
 """Operations that a change of TCP or payload counts for beyond those of any call."""
 
 
-def state_builtins(controller: "Controller") -> dict[str, Builtin]:
+def state_builtins(controller: Controller) -> dict[str, Builtin]:
     """Builtins on the state and the configuration of `controller`."""
     plant = controller.plant
 

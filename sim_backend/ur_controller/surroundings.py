@@ -10,12 +10,11 @@ from dataclasses import asdict
 
 import zenoh
 
+from sim_backend.requests import RequestError, asked, query_keys, read_object, read_task
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Refused
 from sim_backend.ur_controller.server import ControllerServer
 from sim_backend.world.world import ESTIMATE_TICKS
-from sim_backend.zenoh_cell import answers
-from sim_backend.zenoh_cell.server import asked, query_keys
 from wire import keys
 from wire import records as wire
 
@@ -64,18 +63,18 @@ def press(controller: Controller, payload: bytes) -> bytes:
     Raises:
         RequestError: it cannot be read, names nothing there, or the controller refuses.
     """
-    document = answers.read_object(payload, "panel")
+    document = read_object(payload, "panel")
     name = document.get("press")
     if len(document) != 1 or not isinstance(name, str) or name not in PRESSES:
-        raise answers.RequestError(f'panel: {{"press": name}} takes one of {", ".join(PRESSES)}')
+        raise RequestError(f'panel: {{"press": name}} takes one of {", ".join(PRESSES)}')
     try:
         PRESSES[name](controller)
     except Refused as error:
-        raise answers.RequestError(f"panel: the controller refuses: {error}") from error
+        raise RequestError(f"panel: the controller refuses: {error}") from error
     return json.dumps(_state(controller)).encode()
 
 
-class Stage:
+class Surroundings:
     """Serves the surroundings of one controller under `sim/<world>/`, in the thread of its server.
 
     Attributes:
@@ -94,8 +93,8 @@ class Stage:
 
         Args:
             controller: of the arm.
-            server: that serves it and steps this stage.
-            session: open; the caller closes this stage and then the session.
+            server: that serves it and steps these surroundings.
+            session: open; the caller closes these surroundings and then the session.
             world: name of the world in its keys.
             degraded: what the host refused to grant, for `info`.
 
@@ -143,7 +142,7 @@ class Stage:
             try:
                 name = asked(query, self._keys)
                 reply = self._carry_out(name, query.payload.to_bytes() if query.payload is not None else b"")
-            except answers.RequestError as error:
+            except RequestError as error:
                 query.reply_err(str(error), encoding=zenoh.Encoding.TEXT_PLAIN)
                 return False
             query.reply(self._keys[name], reply, express=True)
@@ -160,11 +159,11 @@ class Stage:
 
     def _lay_out(self, payload: bytes) -> bytes:
         """Begin an episode; the reply is its first camera frame. Programs run on, the arm stands at the start pose."""
-        task = answers.read_task(payload)
+        task = read_task(payload)
         try:
             self._controller.plant.lay_out(task)
         except ValueError as error:
-            raise answers.RequestError(f"reset: {error}") from error
+            raise RequestError(f"reset: {error}") from error
         self._episode += 1
         self._ticks = 1  # the frame of tick 0 is the reply
         return self.frame()

@@ -32,7 +32,7 @@ class LaidOut:
     time_s: float
 
 
-class Stage(Protocol):
+class WorldSetup(Protocol):
     """Whatever can lay out the arm's world; a real arm has none."""
 
     async def open(self) -> None:
@@ -56,7 +56,7 @@ class Stage(Protocol):
         ...
 
 
-class ZenohStage:
+class ZenohWorldSetup:
     """The world of an emulated controller, laid out as that of a simulated cell is (`docs/wire.md`).
 
     Args:
