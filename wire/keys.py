@@ -1,4 +1,4 @@
-"""Zenoh key expressions of a simulated cell; what is sent under each stands in `docs/wire.md`."""
+"""Zenoh key expressions of a simulated cell. `docs/wire.md` describes the messages under each."""
 
 STATE = "sim/{world}/state"
 COMMAND = "sim/{world}/command"
