@@ -66,7 +66,7 @@ def serve(
     endpoints = listen or [DEFAULT_ENDPOINT]
     try:
         task = Task.from_json({"seed": seed, "part": part})
-        # before Zenoh starts its threads: one of ordinary priority that the loop waits for would hold the loop up
+        # before Zenoh starts its threads: the loop sometimes waits for them, and ordinary priority would delay it
         refused = request_realtime() if mode is Mode.REAL_TIME else ()
         session = _open_session(endpoints, connect or [], allow_remote=allow_remote)
     except ValueError as error:
@@ -88,12 +88,14 @@ def serve(
 @app.command("ur-controller")
 def ur_controller(
     host: Annotated[str, typer.Option(help="Address of this machine that the controller has.")] = "127.0.0.1",
-    any_ports: Annotated[bool, typer.Option(help="Take free ports instead of UR's; the ready line tells.")] = False,
+    any_ports: Annotated[
+        bool, typer.Option(help="Take free ports instead of UR's; the ready line names them.")
+    ] = False,
     part: Annotated[str, typer.Option(help=f"Peg and hole of the first episode: {_PARTS}.")] = "tr",
     seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
     world: Annotated[str, typer.Option(help="Name of the world in its Zenoh keys, sim/<world>/….")] = DEFAULT_WORLD,
     listen: Annotated[
-        list[str] | None, typer.Option(help="Zenoh endpoint for what surrounds the arm; none unless given.")
+        list[str] | None, typer.Option(help="Zenoh endpoint for the arm's surroundings; none by default.")
     ] = None,
     connect: Annotated[list[str] | None, typer.Option(help="Zenoh endpoint to join, likewise.")] = None,
     programs: Annotated[
@@ -101,7 +103,7 @@ def ur_controller(
     ] = None,
     allow_remote: Annotated[bool, typer.Option(help="Allow addresses outside this machine.")] = False,
 ) -> None:
-    """Serve an emulated e-Series controller whose arm is the simulated one, until SIGINT, SIGTERM or its shutdown."""
+    """Serve an emulated e-Series controller of the simulated arm until SIGINT, SIGTERM or a client's shutdown."""
     _exit_on_signals()
     with contextlib.ExitStack() as stack:
         try:
@@ -167,7 +169,7 @@ def render(
 
 
 def _open_session(listen: list[str], connect: list[str], *, allow_remote: bool) -> zenoh.Session:
-    """Open a session whose endpoints stay on this machine unless allowed.
+    """Open a session whose endpoints stay on this machine unless `allow_remote`.
 
     Raises:
         EndpointError: an endpoint is refused, malformed or taken.
@@ -181,7 +183,7 @@ def _open_session(listen: list[str], connect: list[str], *, allow_remote: bool) 
 
 
 def _exit_on_signals() -> None:
-    """Turn the first SIGINT or SIGTERM into SystemExit, which closes the session on its way out; ignore later ones."""
+    """Turn the first SIGINT or SIGTERM into SystemExit, so that the session closes on exit; ignore later ones."""
 
     def leave(_number: int, _frame: FrameType | None) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -198,7 +200,7 @@ def _fail(text: str, code: int) -> NoReturn:
 
 
 def _with_command(arguments: list[str]) -> list[str]:
-    """Put `serve` where no command is named: before options alone, or nothing."""
+    """Insert `serve` if the arguments name no command: only options, or nothing."""
     named = arguments and (arguments[0] == "--help" or not arguments[0].startswith("-"))
     return arguments if named else ["serve", *arguments]
 

@@ -1,4 +1,4 @@
-"""Requests to a simulated world over Zenoh: the query that a key names, and the JSON object that it carries."""
+"""Requests to a simulated world over Zenoh: the query that a key names, and its JSON payload."""
 
 import json
 import re
@@ -10,11 +10,11 @@ import zenoh
 from wire.task import Task
 
 MAX_OBJECT_BYTES = 4096
-"""Largest JSON object of a request."""
+"""Largest JSON object of a request, bytes."""
 
 
 class RequestError(ValueError):
-    """A request that cannot be carried out and has changed nothing; the text is the reply to the client."""
+    """A request that cannot be carried out and changed nothing; the text is the reply to the client."""
 
 
 def query_keys(world: str, queries: Mapping[str, str]) -> dict[str, zenoh.KeyExpr]:
@@ -25,7 +25,7 @@ def query_keys(world: str, queries: Mapping[str, str]) -> dict[str, zenoh.KeyExp
         queries: patterns of `wire.keys` by name.
 
     Raises:
-        ValueError: `world` cannot stand in a key.
+        ValueError: a key cannot contain `world`.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", world):
         raise ValueError(f"world {world!r}: use letters, digits, '-', '_' and '.', at most 64")
@@ -33,10 +33,10 @@ def query_keys(world: str, queries: Mapping[str, str]) -> dict[str, zenoh.KeyExp
 
 
 def asked(query: zenoh.Query, keys: Mapping[str, zenoh.KeyExpr]) -> str:
-    """Return the name of the one query that is asked.
+    """Return the name of the query that a client asks.
 
     Raises:
-        RequestError: its key names none of `keys`, or several.
+        RequestError: the query's key matches none of `keys`, or several.
     """
     names = [name for name, key in keys.items() if query.key_expr.intersects(key)]
     if len(names) != 1:
@@ -48,11 +48,11 @@ def read_object(payload: bytes, request: str) -> dict[str, Any]:
     """Read the JSON object of a request.
 
     Args:
-        payload: of the request, at most `MAX_OBJECT_BYTES`.
-        request: its name, for the error.
+        payload: payload of the request, at most `MAX_OBJECT_BYTES`.
+        request: name of the request, for the error.
 
     Raises:
-        RequestError: not such an object, or too long.
+        RequestError: the payload is not a JSON object, or too long.
     """
     if len(payload) > MAX_OBJECT_BYTES:
         raise RequestError(f"{request}: a payload of {len(payload)} bytes, at most {MAX_OBJECT_BYTES}")
@@ -72,7 +72,8 @@ def read_task(payload: bytes) -> Task:
         payload: JSON object of a `Task`, such as `{"seed": 0}`.
 
     Raises:
-        RequestError: not such an object, or a field is unknown, missing or out of range; the text names it.
+        RequestError: the payload is not such an object, or a field is unknown, missing or out of range; the text names
+            it.
     """
     document = read_object(payload, "reset")
     try:

@@ -1,7 +1,7 @@
-"""What RTDE clients may read of a controller: one function per variable, evaluated only where somebody asks.
+"""Outputs of a controller for RTDE clients: one function per variable, evaluated only on request.
 
-Meanings and units are those of UR's RTDE guide. What has no counterpart in the simulation has the value that it has on
-a healthy robot at rest: voltages, temperatures, currents of what is not there.
+Meanings and units are those of UR's RTDE guide. A variable without a counterpart in the simulation has its value on a
+healthy robot at rest: voltages, temperatures, currents of absent parts.
 """
 
 import math
@@ -23,7 +23,7 @@ Getter = Callable[[], Any]
 T = TypeVar("T")
 
 CURRENT_A_PER_NM = 0.1
-"""Joint current over joint torque. An assumption: UR publishes none."""
+"""Ratio of joint current to joint torque. An assumption: UR publishes none."""
 SUPPLY_V = 48.0
 IDLE_CURRENT_A = 0.5
 
@@ -43,7 +43,7 @@ class Outputs:
     """The outputs of one controller.
 
     Attributes:
-        getters: by the variable's name; each returns a number, or a list of the field's length.
+        getters: functions by variable name; each returns a number, or a list of the field's length.
     """
 
     def __init__(self, controller: Controller) -> None:
@@ -164,7 +164,7 @@ class Outputs:
         }
 
     def _once(self, key: str, compute: Callable[[], T]) -> Callable[[], T]:
-        """`compute`, but once per tick, however many clients ask."""
+        """Return a function that evaluates `compute` once per tick, however many clients ask."""
         memory, controller = self._memory, self._controller
 
         def get() -> T:
@@ -183,7 +183,7 @@ class Outputs:
         return [CURRENT_A_PER_NM * torque for torque in self._torques()]
 
     def _target_acceleration(self) -> list[float]:
-        """Without the part that the speeds alone make."""
+        """Return the acceleration without the part caused by the joint speeds."""
         motion = self._motion
         return (self._plant.jacobian_of(motion.q_target.tolist()) @ motion.qdd_target).tolist()
 
@@ -191,7 +191,7 @@ class Outputs:
         return float(np.abs(self._plant.q - self._motion.q_target).max()) / PROTECTIVE_ERROR_RAD
 
     def _wrench_from_currents(self) -> list[float]:
-        """What the joints' torques say of the force on the flange; of a singular arm they say nothing."""
+        """Return the flange's wrench derived from the joint torques; zero for a singular arm."""
         plant = self._plant
         q = plant.q.tolist()
         jacobian = jacobian_of(q, plant.flange()[0])

@@ -1,6 +1,6 @@
-"""What surrounds the emulated robot, over Zenoh: the episode, the truth, the camera, and the panel a person stands at.
+"""Surroundings of the emulated robot over Zenoh: the episode, the truth, the camera, and an operator's panel.
 
-The arm itself speaks UR's protocols only. Keys and records stand in `docs/wire.md`.
+The arm itself speaks only UR's protocols. `docs/wire.md` describes keys and records.
 """
 
 import json
@@ -47,21 +47,21 @@ PRESSES: Mapping[str, Callable[[Controller], None]] = {
     "pause": Controller.pause,
     "stop": Controller.stop_program,
 }
-"""What a person can press at the robot: its emergency stop, safeguard, key switch, and the buttons of PolyScope."""
+"""Controls that a person can press at the robot: emergency stop, safeguard, key switch and PolyScope's buttons."""
 
 
 def press(controller: Controller, payload: bytes) -> bytes:
-    """Press what a request names.
+    """Press the control that a request names.
 
     Args:
-        controller: of the robot.
-        payload: JSON object `{"press": name}`, one of `PRESSES`.
+        controller: controller of the robot.
+        payload: JSON object `{"press": name}`, with a name of `PRESSES`.
 
     Returns:
         JSON of the controller's state afterwards.
 
     Raises:
-        RequestError: it cannot be read, names nothing there, or the controller refuses.
+        RequestError: the payload is malformed, names no control, or the controller refuses.
     """
     document = read_object(payload, "panel")
     name = document.get("press")
@@ -92,14 +92,14 @@ class Surroundings:
         """Declare the keys.
 
         Args:
-            controller: of the arm.
-            server: that serves it and steps these surroundings.
-            session: open; the caller closes these surroundings and then the session.
+            controller: controller of the arm.
+            server: server that serves it and steps these surroundings.
+            session: open session; the caller closes these surroundings and then the session.
             world: name of the world in its keys.
-            degraded: what the host refused to grant, for `info`.
+            degraded: grants that the host refused, for `info`.
 
         Raises:
-            ValueError: `world` cannot stand in a key.
+            ValueError: a key cannot contain `world`.
         """
         self.epoch = secrets.randbits(63)
         self._controller = controller
@@ -117,7 +117,7 @@ class Surroundings:
         )
 
     def step(self) -> bool:
-        """After a tick: publish a camera frame that is due, answer one query; returns whether it laid out the world."""
+        """After a tick, publish a due camera frame and answer one query; return True if the world was laid out."""
         if self._ticks % ESTIMATE_TICKS == 0:
             self._camera.put(self.frame())
         self._ticks += 1
@@ -125,7 +125,7 @@ class Surroundings:
         return query is not None and self._answer(query)
 
     def frame(self) -> bytes:
-        """The camera's present frame: one `wire.CAMERA` record."""
+        """Return the camera's present frame, one `wire.CAMERA` record."""
         record = wire.new(wire.CAMERA, wire.Kind.CAMERA)
         row = record[0]
         row["epoch"], row["episode"], row["seq"] = self.epoch, self._episode, self._server.counters.ticks
@@ -134,7 +134,7 @@ class Surroundings:
         return record.tobytes()
 
     def close(self) -> None:
-        """Answer nothing more; a Zenoh thread that waits at a full channel would hold up the session's end."""
+        """Stop answering; a Zenoh thread that waits at a full channel would delay the end of the session."""
         self._queries.undeclare()
 
     def _answer(self, query: zenoh.Query) -> bool:
@@ -158,14 +158,14 @@ class Surroundings:
         return self._info()
 
     def _lay_out(self, payload: bytes) -> bytes:
-        """Begin an episode; the reply is its first camera frame. Programs run on, the arm stands at the start pose."""
+        """Begin an episode with the arm at the start pose and reply with its first camera frame; programs continue."""
         task = read_task(payload)
         try:
             self._controller.plant.lay_out(task)
         except ValueError as error:
             raise RequestError(f"reset: {error}") from error
         self._episode += 1
-        self._ticks = 1  # the frame of tick 0 is the reply
+        self._ticks = 1  # the reply is the frame of tick 0
         return self.frame()
 
     def _info(self) -> bytes:

@@ -1,4 +1,4 @@
-"""What a simulated cell answers to each query: bytes in, bytes out, no transport and no thread."""
+"""Answers of a simulated cell to each query: bytes in, bytes out, no transport and no thread."""
 
 import json
 from typing import Any
@@ -18,16 +18,16 @@ _COMMAND_KINDS = tuple(int(kind) for kind in wire.Kind if kind not in (wire.Kind
 
 
 def read_commands(payload: bytes) -> list[npt.NDArray[Any]]:
-    """Read commands off the wire.
+    """Decode commands.
 
     Args:
         payload: one or more `wire.COMMAND` records.
 
     Returns:
-        n read-only records of `wire.COMMAND`, shape (), each of a kind that is a command. Values are not judged here.
+        n read-only records of `wire.COMMAND`, shape (), each of a command kind. Values are not checked here.
 
     Raises:
-        wire.WireError: not that.
+        wire.WireError: the payload is malformed, too long or contains a record that is not a command.
     """
     commands = wire.decode(payload, wire.COMMAND)
     if len(commands) > MAX_COMMANDS:
@@ -39,7 +39,7 @@ def read_commands(payload: bytes) -> list[npt.NDArray[Any]]:
 
 
 def advance(cell: SimulatedCell, parameters: str, payload: bytes) -> bytes:
-    """Apply commands in their order, then let simulated time pass.
+    """Apply commands in order, then advance simulated time.
 
     Args:
         cell: the world to advance.
@@ -73,7 +73,7 @@ def reset(cell: SimulatedCell, payload: bytes) -> bytes:
         One record of `wire.STATE`.
 
     Raises:
-        RequestError: as `read_task`; or the task cannot be laid out.
+        RequestError: as `read_task`, or the task cannot be laid out.
     """
     task = read_task(payload)
     try:
@@ -83,7 +83,7 @@ def reset(cell: SimulatedCell, payload: bytes) -> bytes:
 
 
 def truth(cell: SimulatedCell) -> bytes:
-    """The world's true state as JSON."""
+    """Return the world's true state as JSON."""
     return json.dumps(cell.truth()).encode()
 
 

@@ -1,6 +1,6 @@
-"""One simulated cell on a Zenoh session: a single thread owns the world, everything else is queued to it.
+"""One simulated cell on a Zenoh session: a single thread owns the world, all messages are queued to it.
 
-Zenoh's own threads only fill bounded channels; they never touch the world, and a full channel holds back its sender.
+Zenoh's own threads only fill bounded channels and never touch the world. A full channel blocks its sender.
 """
 
 import json
@@ -23,7 +23,7 @@ from wire.realtime import freeze_garbage, has_realtime_scheduling
 _QUERY_CAPACITY = 64
 _COMMAND_CAPACITY = 256
 MAX_COMMANDS_PER_TICK = 32
-"""Commands that one tick applies; of more, the newest are kept. STOP is never among those dropped."""
+"""Commands that one tick applies; if more arrive, the newest are kept. STOP is never dropped."""
 
 _QUERIES = {"advance": keys.ADVANCE, "reset": keys.RESET, "info": keys.INFO, "truth": keys.TRUTH}
 
@@ -37,7 +37,7 @@ class Mode(StrEnum):
 
 @dataclass(slots=True)
 class Counters:
-    """What became of messages and ticks since the start; part of the answer to `info`."""
+    """Counts of messages and ticks since the start; part of the answer to `info`."""
 
     ticks: int = 0
     overruns: int = 0
@@ -58,14 +58,14 @@ class Server:
         """Declare the keys.
 
         Args:
-            cell: the world, laid out.
-            session: open; the caller closes it after `run`.
+            cell: world, laid out.
+            session: open session; the caller closes it after `run`.
             world: name of the world in its keys.
             mode: who lets time pass.
-            degraded: what the host refused to grant, for `info`.
+            degraded: grants that the host refused, for `info`.
 
         Raises:
-            ValueError: `world` cannot stand in a key.
+            ValueError: a key cannot contain `world`.
         """
         self.counters = Counters()
         self._cell = cell
@@ -85,14 +85,14 @@ class Server:
             )
 
     def run(self) -> NoReturn:
-        """Serve until an exception, such as a signal handler's SystemExit, ends it; nothing is served afterwards."""
+        """Serve until an exception such as a signal handler's SystemExit; nothing is served afterwards."""
         try:
             if self._mode is Mode.REAL_TIME:
                 self._run_in_real_time()
             while True:
                 self._answer(self._queries.recv())
         finally:
-            # A Zenoh thread that waits at a full channel would hold up the session's end for ten seconds.
+            # A Zenoh thread that waits at a full channel would delay the end of the session by ten seconds.
             self._queries.undeclare()
             if self._mode is Mode.REAL_TIME:
                 self._commands.undeclare()
@@ -114,7 +114,7 @@ class Server:
                 metronome.restart()
 
     def _take_commands(self) -> list[npt.NDArray[Any]]:
-        """Return what arrived since the last tick: stops first, then what came after the last stop, in order."""
+        """Return the commands since the last tick: stops first, then those after the last stop, in order."""
         stops: list[npt.NDArray[Any]] = []
         others: list[npt.NDArray[Any]] = []
         for _ in range(_COMMAND_CAPACITY):
@@ -139,7 +139,7 @@ class Server:
         return kept
 
     def _answer(self, query: zenoh.Query) -> bool:
-        """Reply to one query; return whether it laid out the world, which takes longer than a tick."""
+        """Reply to one query; return True if it laid out the world, which takes longer than a tick."""
         with query:
             try:
                 name = asked(query, self._keys)
@@ -162,7 +162,7 @@ class Server:
         if name == "info":
             return self._info()
         if self._mode is Mode.REAL_TIME:
-            raise RequestError("advance: this world runs in real time and lets its time pass by itself")
+            raise RequestError("advance: this world runs in real time; only a lockstep world is advanced by its client")
         reply = answers.advance(self._cell, str(query.parameters), payload)
         self.counters.ticks += len(reply) // wire.STATE.itemsize
         self.counters.commands += len(payload) // wire.COMMAND.itemsize
