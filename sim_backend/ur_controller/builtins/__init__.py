@@ -1,4 +1,4 @@
-"""Functions of URScript, by theme; a script knows those of `standard_builtins`."""
+"""Functions of URScript, by theme; `standard_builtins` collects those that a script can call."""
 
 from sim_backend.ur_controller.builtins.io import io_builtins
 from sim_backend.ur_controller.builtins.kinematics import kinematics_builtins
@@ -14,7 +14,7 @@ from sim_backend.ur_controller.script import Builtin
 
 
 def standard_builtins(controller: Controller) -> dict[str, Builtin]:
-    """Every builtin that is not part of the language itself, bound to `controller`."""
+    """Return every builtin that is not part of the language itself, bound to `controller`."""
     return {
         **MATHEMATICS,
         **STRINGS,

@@ -1,4 +1,4 @@
-"""URScript's kinematics, and the targets of the motion."""
+"""URScript's kinematics, and the queries of motion targets."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -18,13 +18,13 @@ from .motion import NO_SOLUTION
 
 ACTIVE_TCP = "active_tcp"
 _SOLUTION_COST, _JACOBIAN_COST = 1000, 500
-"""Operations that the eight solutions, and a Jacobian, count for beyond those of any call."""
+"""Operations charged for the eight solutions and for a Jacobian, in addition to those of any call."""
 _MEASURED: list[float] = []
-"""Default of joint angles that a script leaves out: those measured now."""
+"""Default of joint angles that a script leaves out; it stands for the present measurement."""
 
 
 def kinematics_builtins(controller: Controller) -> dict[str, Builtin]:
-    """The kinematic functions of one controller, by the names that scripts call."""
+    """Return the kinematic functions of one controller by script name."""
     motion = controller.motion
     plant = controller.plant
 
@@ -112,6 +112,6 @@ def kinematics_builtins(controller: Controller) -> dict[str, Builtin]:
 
 
 def _errors(position: Value, orientation: Value) -> None:
-    """The errors that a numerical solution may have; this one is exact."""
+    """Check the errors allowed to a numerical solution; this solution is exact."""
     number(position, "maxPositionError")
     number(orientation, "maxOrientationError")

@@ -13,7 +13,7 @@ _ACTIONS: dict[str, Action] = {"ignore": "ignore", "pause": "pause", "stop": "st
 
 
 def register_builtins(controller: Controller) -> dict[str, Builtin]:
-    """Builtins on the registers and watchdogs of `controller`."""
+    """Return the builtins for the registers and watchdogs of `controller`."""
     inputs, outputs = controller.inputs.registers, controller.output_registers
     input_ints, input_doubles, input_bits = inputs.ints, inputs.doubles, inputs.bits
     output_ints, output_doubles, output_bits = outputs.ints, outputs.doubles, outputs.bits

@@ -1,4 +1,4 @@
-"""Script builtins for what the robot measures, what it is told to carry, and what it tells people."""
+"""Script builtins for the robot's measurements, its configured tool and payload, and its messages to people."""
 
 import math
 from collections.abc import Callable, Generator, Sequence
@@ -23,13 +23,13 @@ from sim_backend.ur_controller.script.values import (
 from wire.records import TICK_S
 
 _KEPT: list[float] = []
-"""Default of a vector that stays as it is."""
+"""Default of a vector; it keeps the present value."""
 _CONFIGURING_COST = 150
-"""Operations that a change of TCP or payload counts for beyond those of any call."""
+"""Operations charged for a change of TCP or payload, in addition to those of any call."""
 
 
 def state_builtins(controller: Controller) -> dict[str, Builtin]:
-    """Builtins on the state and the configuration of `controller`."""
+    """Return the builtins for the state and the configuration of `controller`."""
     plant = controller.plant
 
     def carry(kg: float, cog: Sequence[float], inertia: Sequence[float] | None = None) -> None:
