@@ -1,7 +1,7 @@
-"""Sends a program to the controller's primary port, TCP 30001, and returns once it runs, or says why it does not.
+"""Upload of a program to the controller's primary port, TCP 30001, until it runs or its failure is known.
 
-A controller takes whatever is sent there and answers nothing; what became of it is read from the messages that the same
-port pushes: started, failed at a line, or refused because the connection was made in local control.
+A controller accepts any text there and does not answer. The result is read from the messages that the same port pushes:
+started, failed at a line, or refused because the connection was made in local control.
 """
 
 import asyncio
@@ -33,31 +33,31 @@ _DEFINITION = re.compile(r"\s*def\s+([A-Za-z_]\w*)\s*\(")
 
 
 class UploadErrorReason(StrEnum):
-    """Why a program does not run."""
+    """Kinds of `UploadError`."""
 
     UNREACHABLE = "unreachable"
     """No connection."""
     LOST = "lost"
-    """The connection ended, or what came is not the primary interface."""
+    """The connection ended, or the peer is not the primary interface."""
     TIMEOUT = "timeout"
-    """Nothing told in time that the program runs."""
+    """No message reported in time that the program runs."""
     NOT_RUNNING = "not_running"
     """The arm has no power, its brakes are closed, or it is stopped for safety."""
     NOT_REMOTE = "not_remote"
-    """The robot is, or was when the connection was made, in local control."""
+    """The robot is in local control, or was when the connection was made."""
     SCRIPT = "script"
-    """The program is wrong: it does not compile, or failed as it started."""
+    """The program is wrong: it does not compile, or failed at its start."""
     CONTROLLER = "controller"
     """The controller reported an error."""
 
 
 class UploadError(Exception):
-    """A program does not run; `reason` says which kind, the text what to do.
+    """A program does not run; `reason` gives the kind, the text says what to do.
 
     Attributes:
-        reason: for code to match on.
-        line: of the text that was given, from 1; 0 where the error has no place.
-        column: from 1; 0 likewise.
+        reason: kind of the failure, for code to match on.
+        line: line of the given text, from 1; 0 if the error has no place.
+        column: column, from 1; 0 likewise.
     """
 
     def __init__(self, reason: UploadErrorReason, text: str, line: int = 0, column: int = 0) -> None:
@@ -68,17 +68,17 @@ class UploadError(Exception):
 
 
 async def upload(host: str, port: int, text: str, *, timeout_s: float = START_TIMEOUT_S) -> None:
-    """Run a program on a controller, in place of the one that runs there.
+    """Run a program on a controller, replacing the running one.
 
     Args:
         host: address of the controller.
         port: its primary port.
-        text: one `def name(): … end`; comments and blank lines may stand before it.
-        timeout_s: from connecting until the program runs.
+        text: one `def name(): … end`; comments and blank lines may precede it.
+        timeout_s: longest time from connecting until the program runs, s.
 
     Raises:
         UploadError: the program does not run.
-        ValueError: the text does not begin with `def name(`; a secondary program's fate cannot be known.
+        ValueError: the text does not begin with `def name(`; the result of a secondary program cannot be observed.
     """
     skipped, program = _begin(text)
     definition = _DEFINITION.match(program)
@@ -93,7 +93,9 @@ async def upload(host: str, port: int, text: str, *, timeout_s: float = START_TI
 
 
 def _begin(text: str) -> tuple[int, str]:
-    """Cut off what stands before the program, as controllers may count its lines or not; return how many lines."""
+    """Cut off the lines before the program, which controllers may or may not count; return their number and the
+    program.
+    """
     lines = text.splitlines()
     skipped = 0
     while skipped < len(lines) and not lines[skipped].partition("#")[0].strip():
@@ -112,7 +114,7 @@ async def _run(host: str, port: int, program: str, name: str, skipped: int) -> N
         packages = _packages(reader)
         await _await_running(packages)
         if writer.is_closing():
-            raise ConnectionError("closed by the controller")  # writing would not say so on every event loop
+            raise ConnectionError("closed by the controller")  # not every event loop reports this when writing
         writer.write(program.encode())
         await writer.drain()
         async for package in packages:
@@ -129,7 +131,7 @@ async def _run(host: str, port: int, program: str, name: str, skipped: int) -> N
 
 
 async def _packages(reader: asyncio.StreamReader) -> AsyncIterator[RobotMode | Message]:
-    """Yield what the port pushes and matters here, without end."""
+    """Yield the port's messages that matter here, without end."""
     packages = PackageReader()
     while data := await reader.read(_READ_BYTES):
         for kind, content in packages.feed(data):
@@ -145,7 +147,7 @@ async def _packages(reader: asyncio.StreamReader) -> AsyncIterator[RobotMode | M
 
 
 async def _await_running(packages: AsyncIterator[RobotMode | Message]) -> None:
-    """Read until the arm's mode is known, and refuse to send a program to one that cannot run it."""
+    """Read until the arm's mode is known; raise for an arm that cannot run a program."""
     async for package in packages:
         if not isinstance(package, RobotMode):
             continue
