@@ -5,6 +5,7 @@ ur-controller`. It prints `contact` whenever the peg begins to press, and writes
 the end: monotonic time in s, inputs received, program running, speed of the TCP in m/s, true force on the peg in N.
 """
 
+import functools
 import math
 import sys
 import time
@@ -57,7 +58,7 @@ class RecordedController(Controller):
 
 
 def main(output: Path, options: Sequence[str]) -> None:
-    command.make_controller = lambda plant: RecordedController(plant, standard_builtins)
+    command.make_controller = functools.partial(RecordedController, make_builtins=standard_builtins)
     try:
         command.app([*options])
     finally:
