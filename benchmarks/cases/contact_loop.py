@@ -1,6 +1,6 @@
 """Stability of the force loop: press on the block at the shortest and the longest sensor delay, with scaled damping.
 
-This is no timing: `python -m benchmarks.cases.contact_loop` prints the figures of `docs/decisions/0004-admittance.md`.
+It is not a timing: `python -m benchmarks.cases.contact_loop` prints the figures of `docs/decisions/0004-admittance.md`.
 """
 
 import itertools

@@ -29,7 +29,7 @@ messages, and clients that end their own program send `stop` immediately afterwa
 LOG_LINES, LOG_CHARACTERS = 1000, 500
 """Limits of the log: lines, and characters of a line."""
 _LINES_PER_TICK = 16  # per connection, so that the tick stays in time
-_WAITING_BYTES = 1 << 16  # a peer that sends more without a line's end is no dashboard client
+_WAITING_BYTES = 1 << 16  # a peer that sends more without a line end is not a dashboard client
 
 _MODEL_NAMES = {1: "UR5", 2: "UR10", 3: "UR3", 4: "UR16", 7: "UR20", 8: "UR30"}
 _STATE_WORDS = {RuntimeState.STOPPED: "STOPPED", RuntimeState.PAUSED: "PAUSED"}

@@ -32,7 +32,7 @@ robot gives a code by cause."""
 
 _PROGRAMS_PER_TICK = 2
 _MOST_WAITING = 256
-_SILENT_TICKS = 2  # of a new connection: meanwhile bytes sent before it was accepted are read
+_SILENT_TICKS = 2  # for a new connection; meanwhile bytes sent before its acceptance are read
 _STATE_TICKS = round(1.0 / (STATE_HZ * TICK_S))
 _SLOWEST_ACCELERATION = 40.0  # rad/s², as a UR reports it
 _CONFIGURATION = state.Configuration(

@@ -92,13 +92,13 @@ class RtdeService:
         self._clients[connection] = _Client(connection)
 
     def on_data(self, connection: Connection, data: bytes) -> None:
-        """Handle complete packages; bytes that are no RTDE end the connection."""
+        """Handle complete packages; bytes that are not RTDE end the connection."""
         client = self._clients[connection]
         try:
             for kind, payload in client.reader.feed(data):
                 handler = self._handlers.get(kind)
                 if handler is None:
-                    raise PackageError(RtdeErrorReason.UNKNOWN_PACKAGE, f"type {kind} is no package of RTDE")
+                    raise PackageError(RtdeErrorReason.UNKNOWN_PACKAGE, f"RTDE has no package type {kind}")
                 handler(client, payload)
         except (FramingError, PackageError):
             connection.close()

@@ -190,7 +190,7 @@ class SetupReply:
             raise SetupError(refused)
         if unknown := [f"{name} as {kind!r}" for name, kind in answers if kind not in FieldType.__members__]:
             raise PackageError(
-                RtdeErrorReason.MALFORMED, f"the controller gives {', '.join(unknown)}, which is no type of RTDE"
+                RtdeErrorReason.MALFORMED, f"the controller gives {', '.join(unknown)}, which is not an RTDE type"
             )
         if self.recipe_id == 0:
             raise PackageError(

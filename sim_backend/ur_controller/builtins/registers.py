@@ -51,7 +51,7 @@ def register_builtins(controller: Controller) -> dict[str, Builtin]:
     def rtde_set_watchdog(variable_name: Value, min_frequency: Value, action: Value = "pause") -> None:
         name, what = text(variable_name, "variable_name"), text(action, "action").lower()
         if name not in INPUTS:
-            raise ScriptRuntimeError(f"rtde_set_watchdog: {name!r} is no input variable of RTDE")
+            raise ScriptRuntimeError(f"rtde_set_watchdog: {name!r} is not an input variable of RTDE")
         if what not in _ACTIONS:
             raise ScriptRuntimeError(f"rtde_set_watchdog: action must be ignore, pause or stop, not {what!r}")
         controller.inputs.watch(name, number(min_frequency, "min_frequency"), _ACTIONS[what])

@@ -130,7 +130,7 @@ def condition(value: Value) -> bool:
 
 
 def is_matrix(value: Value) -> TypeGuard[list[list[Value]]]:
-    """Return True for a list whose first element is a list and no pose."""
+    """Return True for a list whose first element is a list and not a pose."""
     return is_list(value) and type(value) is not Pose and bool(value) and type(value[0]) is list
 
 

@@ -88,7 +88,7 @@ def compile_source(text: str, builtins: Table) -> Compiled:
     `builtins`.
 
     Raises:
-        CompileError: the text is no script, calls or reads unknown names, or passes wrong arguments.
+        CompileError: the text is not a script, calls or reads unknown names, or passes wrong arguments.
     """
     block = parse(text)
     table = {**_FLOW, **builtins}

@@ -83,7 +83,7 @@ def number(value: Value, what: str) -> float:
     """Return `value` as a float.
 
     Raises:
-        ScriptRuntimeError: it is no number; the text names it as `what`.
+        ScriptRuntimeError: it is not a number; the text names it as `what`.
     """
     if type(value) is float:
         return value
@@ -96,7 +96,7 @@ def integer(value: Value, what: str) -> int:
     """Return `value` as an int; a whole float is accepted.
 
     Raises:
-        ScriptRuntimeError: it is no whole number.
+        ScriptRuntimeError: it is not a whole number.
     """
     if type(value) is int:
         return value
@@ -122,7 +122,7 @@ def text(value: Value, what: str) -> str:
     """Return `value`, which must be a string.
 
     Raises:
-        ScriptRuntimeError: it is no string.
+        ScriptRuntimeError: it is not a string.
     """
     if type(value) is str:
         return value
@@ -133,7 +133,7 @@ def vector(value: Value, length: int, what: str) -> list[float]:
     """Return `value`, a list or a pose of `length` numbers, as a new list of floats.
 
     Raises:
-        ScriptRuntimeError: it is no such list.
+        ScriptRuntimeError: it is not such a list.
     """
     if is_list(value) and len(value) == length:
         if all(type(item) is float for item in value):
@@ -146,7 +146,7 @@ def quantities(value: Value, length: int, what: str) -> list[float]:
     """Return `value` as `vector` does; its numbers must be within the range of the arm's computations.
 
     Raises:
-        ScriptRuntimeError: it is no such list, or a number exceeds `LARGEST_QUANTITY` or is NaN.
+        ScriptRuntimeError: it is not such a list, or a number exceeds `LARGEST_QUANTITY` or is NaN.
     """
     numbers = vector(value, length, what)
     if all(-LARGEST_QUANTITY <= item <= LARGEST_QUANTITY for item in numbers):
@@ -158,7 +158,7 @@ def pose(value: Value, what: str) -> list[float]:
     """Return `value`, which must be a pose, as a new list of 6 floats: m, rad.
 
     Raises:
-        ScriptRuntimeError: it is no pose; a list of six numbers is none.
+        ScriptRuntimeError: it is not a pose; a list of six numbers is not accepted.
     """
     if type(value) is Pose:
         return list(value)
