@@ -131,8 +131,8 @@ class UrDriver:
     async def prepare(self, setup: Setup) -> None:
         """Have the arm ready and the control program running, and lay out a simulated world.
 
-        The gate is passed again, but for the sensor, which the run judges itself: when the connection was made the arm
-        may have had no power, and what was found then need not hold any more.
+        The gate runs again, without the sensor's check, which the run makes itself: at the time of the connection the
+        arm may have had no power, so the earlier results may no longer hold.
 
         Raises:
             DriverError: AUTHORITY, the arm is not ours to move; PROTOCOL, a seed for a real arm.
@@ -191,8 +191,8 @@ class UrDriver:
                 await helper.close()
 
     async def _lay_out(self, world_setup: WorldSetup, setup: Setup) -> None:
-        """Last of all that precedes a run, so that nothing but the run comes between it and the seed's world."""
-        self._episode = 0  # the old world's samples end
+        """Lay out the world as the last step before a run, so that nothing changes the seed's world in between."""
+        self._episode = 0  # samples of the old world end here
         laid_out = await world_setup.lay_out(setup)
         camera = self._camera
 
@@ -203,7 +203,7 @@ class UrDriver:
         if not await self._link.until(is_shown, FRESH_S):
             text = f"{self.name}: no samples, or no camera frames, of the world that was laid out; is it another arm's?"
             raise DriverError(FaultCode.STALE, text)
-        self._link.resynchronise()  # its clock stood while it laid out
+        self._link.resynchronise()  # the controller's clock stood still during the layout
         self._episode = laid_out.episode
 
     # --- what arrives
