@@ -16,4 +16,4 @@ TORQUE_CEILING_NM = 5.0
 """Default resultant torque at the TCP at which a cell stops; every single sample counts."""
 
 LockMode = Literal["paper", "peck", "sliding", "off"]
-"""How the depth may be limited; `service.safety.dsl` says what each one does."""
+"""Modes of the depth limit; `service.safety.dsl` describes each."""
