@@ -22,11 +22,11 @@ from api.processes import JOIN_S, CellProcesses
 from api.protection import Protection, is_loopback
 from api.routes import commands, page, runs, state, streams
 from api.runtime import Runtime
+from api.version import VERSION
 from service.client import CellClient
 from service.config import CellConfig
 from service.messages import Event
 
-VERSION = "1.0.0"
 DESCRIPTION = """\
 Commands and watches one assembly cell.
 

@@ -8,12 +8,13 @@ from typing import Protocol
 
 import zenoh
 
-from service.drivers.base import DriverError, Setup
-from service.drivers.sim_wire import task_of
+from service.drivers.base import DriverError
+from service.drivers.sim_wire import check_task
 from service.faults import FaultCode
 from wire import keys
 from wire import records as wire
 from wire.session import QueryRefusedError, close_session, open_session, query
+from wire.task import Task
 
 LAY_OUT_S = 30.0
 """Host time for a simulator to lay out, and perhaps to compile, a world, s."""
@@ -43,7 +44,7 @@ class WorldSetup(Protocol):
         """
         ...
 
-    async def lay_out(self, setup: Setup) -> LaidOut:
+    async def lay_out(self, task: Task | None) -> LaidOut:
         """Lay out the world that a run wants.
 
         Raises:
@@ -74,8 +75,8 @@ class ZenohWorldSetup:
         if self._session is None:
             self._session = await asyncio.to_thread(open_session, connect=self._connect)
 
-    async def lay_out(self, setup: Setup) -> LaidOut:
-        payload = json.dumps(task_of(setup).to_json()).encode()
+    async def lay_out(self, task: Task | None) -> LaidOut:
+        payload = json.dumps(check_task(task).to_json()).encode()
         if self._session is None:
             raise DriverError(FaultCode.LINK, f"{self._name}: not connected")
         try:

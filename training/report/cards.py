@@ -16,7 +16,6 @@ from pydantic import BaseModel, ConfigDict
 from service.policy.contract import EvaluationFigure, PolicyContract
 from service.policy.model import Policy
 from service.policy.observation import ENTRIES, Need
-from service.safety import dsl
 from training import files
 from training.evaluation.results import Block as Measurement
 from training.evaluation.results import Results, ResultsError
@@ -24,13 +23,14 @@ from training.report import accounts, paper
 from training.report.document import Block, Document, Heading, Judged, Paragraph, Table
 from training.report.measured import NOT_MEASURED, Measured, commit_name, interval, mean_steps, peaks, percent
 from training.report.own_chapters import THROUGH
+from wire.limits import LockMode
 from wire.task import Part
 
 TITLE = "Models"
 PAGE = "models.md"
 GLANCE_MM = (1.33, 0.33)
 """Clearances per face of the first table: the paper's two gaps."""
-USUAL_LOCKS: tuple[dsl.Mode, ...] = ("paper", "peck")
+USUAL_LOCKS: tuple[LockMode, ...] = ("paper",)
 """Those that a recipe runs unless it says otherwise."""
 
 MODES = {
@@ -38,9 +38,8 @@ MODES = {
     "FTM": "knows the contact; for the hole stands its nominal centre",
     "VM": "knows the hole and nothing of the contact",
 }
-LOCKS: Mapping[dsl.Mode, str] = {
+LOCKS: Mapping[LockMode, str] = {
     "paper": "the paper's Algorithm 1, creeping down until contact and from there limiting how deep the policy may ask",
-    "peck": "creeps down until contact; from there it presses, feels and lifts, and the policy has no z",
     "sliding": "creeps down until contact; from there the policy owns z, and the lock limits nothing",
     "off": "the command is the policy's from the beginning",
 }
@@ -277,8 +276,6 @@ def _limits(contract: PolicyContract) -> Iterator[Block]:
         )
     if lock.mode == "paper":
         text += f" A command may go {lock.press_m * 1e3:g} mm below the lock."
-    if lock.mode == "peck":
-        text += f" A press goes {lock.press_m * 1e3:g} mm below the lock."
     yield Paragraph(text)
     yield Table(
         ["compliance law about the TCP", "x", "y", "z", "about x", "about y", "about z"],

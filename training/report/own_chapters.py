@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from service.safety import dsl
 from training.evaluation.results import Block as Measurement
 from training.evaluation.results import Results, wilson
 from training.report import plots, policies
@@ -24,6 +23,7 @@ from training.report.measured import (
     success,
 )
 from training.report.paper import Comparison, Level, Locked, Strength
+from wire.limits import LockMode
 
 THROUGH = {"environment": "environment", "zenoh": "service over Zenoh", "rtde": "service over RTDE"}
 
@@ -337,7 +337,7 @@ def _row(name: str, results: Results, block: Measurement) -> list[str | Judged]:
     setting = block.setting
     commits = dict.fromkeys(f"`{commit_name(session.commit)}`" for session in block.sessions)
     machines = dict.fromkeys(session.machine for session in block.sessions)
-    lock: dsl.Mode = setting.lock
+    lock: LockMode = setting.lock
     return [
         f"`{name}`",
         setting.part,

@@ -12,18 +12,21 @@ from collections.abc import Awaitable, Callable
 import structlog
 
 from service.config import CellConfig, UrSection
-from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, SampleSink, Setup
+from service.drivers.base import DriverError, PoseTarget, SampleSink
 from service.drivers.camera import Camera
 from service.drivers.ur import gate, recovery
 from service.drivers.ur.dashboard import DashboardError
-from service.drivers.ur.link import Mode, UrLink
+from service.drivers.ur.link import UrLink
 from service.drivers.ur.program import ProgramError, render
 from service.drivers.ur.registers import Command
 from service.drivers.ur.samples import Package, SampleReader
 from service.drivers.world_setup import WorldSetup
 from service.faults import FaultCode
+from wire.law import ComplianceLaw, ControlLimits
+from wire.limits import TimeMode
 from wire.records import TICK_S, Program
 from wire.rtde.modes import RuntimeState
+from wire.task import Task
 
 FRESH_S = 1.0
 """Robot's time within which samples and camera frames of a newly laid out world must arrive, s."""
@@ -66,14 +69,14 @@ class UrDriver:
         self,
         config: CellConfig,
         *,
-        mode: Mode = "real_time",
+        mode: TimeMode = "real_time",
         clock: Callable[[], float] = time.monotonic,
         camera: Camera | None = None,
         world_setup: WorldSetup | None = None,
     ) -> None:
         if config.ur is None:
             raise ProgramError("the configuration has no [ur] section")
-        self.mode: Mode = mode
+        self.mode: TimeMode = mode
         self.name = f"{'emulated ' if config.ur.simulated else ''}UR controller at {config.ur.host}"
         self.simulated = world_setup is not None
         self.checks: tuple[gate.Check, ...] = ()
@@ -128,7 +131,7 @@ class UrDriver:
         self._proven = self._proven or facts.watchdog_s is not None
         self._sink = sink
 
-    async def prepare(self, setup: Setup) -> None:
+    async def prepare(self, task: Task | None) -> None:
         """Have the arm ready and the control program running, and lay out a simulated world.
 
         The gate runs again, without the sensor's check, which the run makes itself: at the time of the connection the
@@ -137,7 +140,7 @@ class UrDriver:
         Raises:
             DriverError: AUTHORITY, the arm is not ours to move; PROTOCOL, a seed for a real arm.
         """
-        if self._world_setup is None and setup.seed is not None:
+        if self._world_setup is None and task is not None:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name} is real and has no seed: leave it out")
         facts = await gate.measure_program(self._link, self._ur, prove_watchdog=not self._proven)
         checks = gate.judge_program(facts, self._ur)
@@ -146,17 +149,17 @@ class UrDriver:
         self._note(checks)
         self._proven = self._proven or facts.watchdog_s is not None
         if self._world_setup is not None:
-            await self._lay_out(self._world_setup, setup)
+            await self._lay_out(self._world_setup, task)
 
-    def engage(self, law: ComplianceLaw, limits: Limits) -> None:
+    def engage(self, law: ComplianceLaw, limits: ControlLimits) -> None:
         self._link.outbox.put(
             Command.ENGAGE,
             (
-                *law.stiffness.tolist(),
-                *law.damping.tolist(),
-                *law.inertia.tolist(),
-                *law.max_speed.tolist(),
-                *limits.max_step.tolist(),
+                *law.stiffness,
+                *law.damping,
+                *law.inertia,
+                *limits.max_speed,
+                *limits.max_step,
                 limits.force_ceiling_n,
                 limits.target_age_s,
             ),
@@ -190,10 +193,10 @@ class UrDriver:
             if helper is not None:
                 await helper.close()
 
-    async def _lay_out(self, world_setup: WorldSetup, setup: Setup) -> None:
+    async def _lay_out(self, world_setup: WorldSetup, task: Task | None) -> None:
         """Lay out the world as the last step before a run, so that nothing changes the seed's world in between."""
         self._episode = 0  # samples of the old world end here
-        laid_out = await world_setup.lay_out(setup)
+        laid_out = await world_setup.lay_out(task)
         camera = self._camera
 
         def is_shown(package: Package) -> bool:
