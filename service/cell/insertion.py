@@ -1,6 +1,6 @@
 """One insertion from pre-flight to retract, driven by samples: no clock, no driver, no event loop.
 
-Every sample that the monitor has passed goes in, orders come out, in the order in which they are to be carried out.
+Every sample that the monitor has passed goes in; orders come out, in the order in which they must be carried out.
 """
 
 from collections import deque
@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from service.cell.orders import Disengage, Engage, Fail, Halt, Infer, Move, Order, Succeed, ZeroFt
 from service.cell.path import Progress, StraightPath
 from service.cell.plan import Plan
-from service.cell.records import Disengage, Engage, Enter, Fail, Halt, Infer, Move, Order, Succeed, TickRecord, ZeroFt
+from service.cell.tick_record import TickRecord
 from service.drivers.base import PoseTarget, Program, RobotMode, SafetyMode, Sample, StopReason
 from service.faults import FaultCode
-from service.messages import CellState
 from service.policy.observation import Measurement
 from service.safety import bounds, dsl, preflight
 from service.safety.pose import rotvec_from_yaw, yaw_and_tilt
@@ -77,7 +77,7 @@ class Insertion:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._stage = Stage.ZEROING
+        self._stage = self._reached = Stage.ZEROING
         self._stage_seq = -1
         self._zeroings = 0
         self._window: deque[FloatArray] = deque(maxlen=max(plan.ticks_per_step, plan.preflight.window_samples))
@@ -100,7 +100,8 @@ class Insertion:
 
     @property
     def stage(self) -> Stage:
-        return self._stage
+        """Stage in which the insertion is, or in which it ended; never ENDED."""
+        return self._reached
 
     @property
     def depth_m(self) -> float | None:
@@ -217,7 +218,6 @@ class Insertion:
             return
         self._started_s = sample.time_s
         self._go(Stage.ENGAGING, sample)
-        yield Enter(CellState.APPROACH)
         yield Engage(plan.law, plan.limits)
 
     def _locate_hole(self, sample: Sample) -> str | None:
@@ -266,7 +266,6 @@ class Insertion:
         match self._path.progress(sample):
             case Progress.ARRIVED:
                 self._go(Stage.INSERTING, sample)
-                yield Enter(CellState.RUNNING)
                 yield from self._observe(sample)
             case Progress.OVERDUE:
                 yield from self._fail(FaultCode.BOUNDS, "the arm did not arrive above the hole: is the way clear?")
@@ -408,7 +407,7 @@ class Insertion:
             yield Disengage()
 
     def _begin_retract(self, sample: Sample | None) -> Iterator[Order]:
-        yield Enter(CellState.RETRACT)
+        self._reached = Stage.RETRACTING
         if sample is None or not self._plan.retract:
             self._stage = Stage.ENDED
             self._ended_s = None if sample is None else sample.time_s
@@ -424,7 +423,8 @@ class Insertion:
     # --- small parts
 
     def _go(self, stage: Stage, sample: Sample) -> None:
-        self._stage, self._stage_seq = stage, sample.seq
+        self._stage = self._reached = stage
+        self._stage_seq = sample.seq
 
     def _plan_path(self, waypoints: list[FloatArray], sample: Sample) -> StraightPath:
         period_s = APPROACH_TICKS * self._plan.tick_s

@@ -1,4 +1,4 @@
-"""Everything that one insertion goes by, fixed before it starts: numbers of the recipe, the limits and the contract."""
+"""The plan of one insertion, fixed before it starts: numbers of the recipe, the limits and the policy's contract."""
 
 from dataclasses import dataclass
 
@@ -18,31 +18,31 @@ from wire.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """One insertion's numbers. Lengths m, angles rad, base frame, times on the samples' clock.
+    """Numbers of one insertion: lengths in m, angles in rad, base frame, times on the samples' clock.
 
     Attributes:
-        start_position: (3,) where the TCP must stand.
-        start_yaw: and how it must be turned; kept during the approach.
-        nominal_hole: (3,) where the hole is without any camera.
-        max_hole_offset: (3,) farthest that the camera's estimate may be from there.
-        uses_estimate: whether the approach and the depth go by the camera.
+        start_position: (3,) position at which the TCP must stand.
+        start_yaw: yaw at which it must stand; kept during the approach.
+        nominal_hole: (3,) position of the hole without a camera.
+        max_hole_offset: (3,) largest distance of the camera's estimate from it, per axis.
+        uses_estimate: whether approach and depth use the camera's estimate.
         hover_m: height above the hole at which the approach ends.
-        approach_speed_m_s: of scripted moves.
+        approach_speed_m_s: speed of scripted moves.
         max_steps: policy steps before the run fails.
         ticks_per_step: samples per policy step.
-        lock_samples: newest samples whose mean wrench the lock goes by.
+        lock_samples: number of newest samples whose mean wrench the lock uses.
         tick_s: period of the samples.
-        success_depth_m: below the surface.
+        success_depth_m: depth of the peg's bottom below the surface that counts as inserted.
         retract: whether the tool moves up at the end.
-        policy_deadline_s: for one inference.
+        policy_deadline_s: longest time of one inference.
         clamped_steps: steps in a row with an outrageous action before the cell latches.
         law: compliance while engaged.
-        limits: that the arm's own controller enforces.
-        bounds: on every target of the policy.
+        limits: limits that the arm's own controller enforces.
+        bounds: bounds of every target of the policy.
         dsl: the lock's constants.
-        preflight: what the sensor and the pose must look like.
-        builder: of observations.
-        action: meaning of the policy's output.
+        preflight: requirements on sensor and pose before the arm moves.
+        builder: builds observations.
+        action: turns the policy's output into a displacement.
     """
 
     start_position: FloatArray
@@ -70,7 +70,7 @@ class Plan:
 
 
 def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyContract) -> Plan:
-    """Put a recipe, the cell's limits and a policy's contract together."""
+    """Plan an insertion by a recipe, the cell's limits and a policy's contract."""
     limits = config.limits
     lower, upper = limits.workspace_m
     law = contract.compliance
@@ -125,7 +125,7 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
 
 
 def plan_monitor(limits: LimitsSection, force_ceiling_n: float) -> MonitorParameters:
-    """Limits of a sample; the ceiling is the cell's, or a recipe's where that is lower."""
+    """Return the limits of a sample; the ceiling is that of the cell, or a recipe's lower one."""
     return MonitorParameters(
         force_ceiling_n=force_ceiling_n,
         torque_ceiling_nm=limits.torque_ceiling_nm,

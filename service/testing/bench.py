@@ -12,7 +12,7 @@ import pytest
 from service.cell.cell import Cell
 from service.cell.inference import InferenceKind
 from service.cell.process import standing
-from service.cell.records import TickRecord
+from service.cell.tick_record import TickRecord
 from service.config import CellConfig
 from service.drivers.base import Driver
 from service.messages import CellState, Event, Run, RunResult, RunState, StartRequest, Telemetry
