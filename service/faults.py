@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class FaultCode(StrEnum):
-    """Reason why a run failed or a cell latched. `docs/faults.md` explains each code; codes do not change."""
+    """Reason why a run failed or a cell latched. `docs/reference/faults.md` explains each code; codes do not change."""
 
     FORCE_CEILING = "FORCE_CEILING"
     SENSOR_INVALID = "SENSOR_INVALID"

@@ -13,7 +13,7 @@
 | `telemetry` | publication, about 50 Hz | | `Telemetry` |
 | `client` | subscription: every client, every `CLIENT_HEARTBEAT_S` | | anything |
 
-`docs/architecture.md` defines frames, units and signs. Times of day are seconds since the Unix epoch.
+`docs/reference/frames.md` defines frames, units and signs. Times of day are seconds since the Unix epoch.
 """
 
 from enum import StrEnum

@@ -8,7 +8,7 @@ from typing import Self
 from service.config import CellConfig, RecipeSection
 from service.policy.contract import PolicyContract
 from service.policy.observation import ENTRIES, Need
-from service.safety import dsl
+from wire.limits import LockMode
 
 Six = tuple[float, float, float, float, float, float]
 
@@ -48,7 +48,7 @@ class CellCapabilities:
     stiffness_max: Six
     damping_min: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     inertia_min: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    locks: tuple[dsl.Mode, ...] = ("paper", "peck")
+    locks: tuple[LockMode, ...] = ("paper",)
     press_max_m: float = 5e-3
     damping_max: Six = (inf, inf, inf, inf, inf, inf)
     inertia_max: Six = (inf, inf, inf, inf, inf, inf)
@@ -188,7 +188,6 @@ def _beyond_lock(contract: PolicyContract, cell: CellCapabilities) -> Iterator[s
         ("lift_max_m", lock.lift_max_m, "max_lift_m", cell.lift_max_m),
         ("search_depth_m", lock.search_depth_m, "max_search_depth_m", cell.search_depth_max_m),
         ("search_steps", lock.search_steps, "max_search_steps", cell.search_steps_max),
-        ("peck_deeper_m", lock.peck_deeper_m if lock.mode == "peck" else 0.0, "max_press_m", cell.press_max_m),
     ):
         if want > limit:
             yield f"dsl.{name} is {want:g}, limits.{field} of the cell is {limit:g}"

@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
-from service.drivers.base import ComplianceLaw, Limits, PoseTarget
+from service.drivers.base import PoseTarget
 from service.faults import FaultCode
 from wire.arrays import Float32Array
+from wire.law import ComplianceLaw, ControlLimits
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +18,7 @@ class Engage:
     """Start the control program on the arm."""
 
     law: ComplianceLaw
-    limits: Limits
+    limits: ControlLimits
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """The start of a run: accepted, recorded, and its world prepared, before anything moves."""
 
 import asyncio
-from typing import Protocol
+from typing import Protocol, cast
 
 import structlog
 
@@ -12,11 +12,12 @@ from service.cell.journal import Journal
 from service.cell.plan import plan_insertion
 from service.cell.policies import PolicyRefusedError, PolicyShelf
 from service.cell.runs import ActiveRun, RunHost, Runs
-from service.config import CellConfig
-from service.drivers.base import Driver, DriverError, Setup
+from service.config import CellConfig, RecipeSection
+from service.drivers.base import Driver, DriverError
 from service.faults import FaultCode
-from service.messages import CellState, EventKind, Reason, Refused, RunResult, RunState, StartRequest
+from service.messages import CellState, EventKind, Reason, Refused, Run, RunResult, RunState, StartRequest
 from service.policy.model import Policy
+from wire.task import Part, Task
 
 _log = structlog.get_logger("service.cell")
 
@@ -150,7 +151,7 @@ class Starting:
         self.preparing = True
         failure: DriverError | None = None
         try:
-            await self._driver.prepare(Setup(run.seed, recipe.part, recipe.clearance_m, recipe.conditions))
+            await self._driver.prepare(_task(run, recipe))
         except DriverError as error:
             failure = error
         finally:
@@ -162,3 +163,10 @@ class Starting:
             self._host.end_run(RunState.FAILED, failure.code, str(failure))
             return
         active.begin(plan, policy, self._inference)
+
+
+def _task(run: Run, recipe: RecipeSection) -> Task | None:
+    """Return the episode that a simulated world lays out for a run; the driver checks it. None on a real arm."""
+    if run.seed is None:
+        return None
+    return Task(run.seed, cast("Part", recipe.part), recipe.clearance_m, recipe.conditions)
