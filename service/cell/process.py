@@ -23,7 +23,7 @@ _log = structlog.get_logger("service")
 
 
 @asynccontextmanager
-async def standing(cell: Cell) -> AsyncGenerator[None]:
+async def attended(cell: Cell) -> AsyncGenerator[None]:
     """Keep a cell linked and watched while the context lasts; stop and close it at the end."""
     link = asyncio.create_task(keep_linked(cell), name="link")
     watch = asyncio.create_task(keep_watch(cell), name="watch")
@@ -35,7 +35,7 @@ async def standing(cell: Cell) -> AsyncGenerator[None]:
         watch.cancel()
         for result in await asyncio.gather(link, watch, return_exceptions=True):
             if isinstance(result, Exception):
-                _log.error("standing task", error=repr(result))
+                _log.error("task of the cell", error=repr(result))
 
 
 @contextmanager
@@ -87,7 +87,7 @@ async def _run(config: CellConfig, driver: Driver) -> None:
         raise
     try:
         plane = ControlPlane(cell, session)
-        async with standing(cell):
+        async with attended(cell):
             status = asyncio.create_task(plane.publish_status(), name="status")
             _log.info("serving", cell=config.cell.id, endpoint=config.cell.endpoint, state=cell.state.value)
             await ended.wait()

@@ -1,4 +1,4 @@
-"""The cell's two standing tasks: keep the driver connected, and keep watch while no sample comes."""
+"""The two tasks that attend a cell: one keeps the driver connected, one watches while no sample comes."""
 
 import asyncio
 

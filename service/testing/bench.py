@@ -11,7 +11,7 @@ import pytest
 
 from service.cell.cell import Cell
 from service.cell.inference import InferenceKind
-from service.cell.process import standing
+from service.cell.process import attended
 from service.cell.tick_record import TickRecord
 from service.config import CellConfig
 from service.drivers.base import Driver
@@ -157,7 +157,7 @@ async def lockstep_cell(
     cell = Cell(config, driver, inference=inference)
     bench = Bench(cell, world)
     cell.journal.observers.append(bench)
-    async with standing(cell):
+    async with attended(cell):
         await bench.until(lambda: cell.newest_sample is not None)
         yield bench
 
