@@ -100,7 +100,7 @@ class Cell:
     def newest_sample(self) -> Sample | None:
         return self._intake.sample
 
-    # --- what the driver says
+    # --- from the driver
 
     def on_sample(self, sample: Sample) -> None:
         """Judge a sample and act on it."""
@@ -203,10 +203,10 @@ class Cell:
         self._standstill.end()
         self.enter(CellState.LATCHED)
 
-    # --- time
+    # --- deadlines
 
     def watch(self) -> None:
-        """Judge the silence; `watch.keep_watch` calls this every few milliseconds of real time."""
+        """Check for deadlines and silence; `watch.keep_watch` calls this every few milliseconds of real time."""
         now = self.driver.clock()
         if self._standstill.awaited:
             if self.state is CellState.STOPPING:
@@ -228,7 +228,7 @@ class Cell:
     # --- the link
 
     def linked(self) -> None:
-        """Believe the link: the driver is connected. READY comes with the first sample.
+        """Take the link up: the driver is connected. READY comes with the first sample.
 
         The arm is stopped, in case an earlier process left it moving.
         """
@@ -254,7 +254,7 @@ class Cell:
             # In lockstep no time passes without a link: nothing moves, and nothing more can be measured
             self._finish_stop(None)
 
-    # --- what people ask
+    # --- requests
 
     async def start(self, request: StartRequest) -> RunResult | Refused:
         """Accept a run, or say why not. The answer comes once the run is on the disk, before anything moves."""
@@ -312,7 +312,7 @@ class Cell:
         await self.driver.close()
         await asyncio.to_thread(self.journal.close, JOURNAL_CLOSE_S)
 
-    # --- what its parts ask
+    # --- for its parts
 
     def situation(self) -> Situation:
         """Return what decides a request at this moment."""

@@ -1,4 +1,4 @@
-"""Computation of the policy's answer: in the event loop when time waits for it, on a thread when it does not."""
+"""Computation of the policy's answer: in the event loop in lockstep, on a thread in real time."""
 
 import asyncio
 from collections.abc import Callable

@@ -71,7 +71,7 @@ class Intake:
         self.sample = None
 
     def overdue(self) -> Verdict:
-        """Judge the silence; a source just connected has `FIRST_SAMPLE_S` for its first sample."""
+        """Judge whether samples are overdue; a source just connected has `FIRST_SAMPLE_S` for its first one."""
         patience_s = FIRST_SAMPLE_S if self.sample is None else self._limits.sample_age_s
         now = self._clock()
         return PASSED if now - self._renewed_at < patience_s else self._monitor.overdue(now)

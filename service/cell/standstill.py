@@ -1,4 +1,4 @@
-"""Standstill after a stop command: confirmed by measurement, asked for again, and at last forced."""
+"""Standstill after a stop: confirmed by measurement. The stop is repeated, and escalated at its deadline."""
 
 from service.drivers.base import Driver, Program, Sample
 from service.safety.stop import StopConfirmation, StopParameters, StopState

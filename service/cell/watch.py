@@ -40,7 +40,7 @@ async def keep_linked(cell: Cell) -> None:
 
 
 async def keep_watch(cell: Cell) -> None:
-    """Judge silence and lateness in real time; in lockstep no time passes without samples, so this returns."""
+    """Check for silence and lateness in real time. In lockstep no time passes without samples, so this returns."""
     if cell.driver.mode == "lockstep":
         return
     in_a_row = 0

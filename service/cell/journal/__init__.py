@@ -1,4 +1,4 @@
-"""The cell's memory and voice: the latch, the ledger of runs and events, and the observers who hear of them.
+"""Latch, runs and events of one cell: kept on disk, and told to observers.
 
 `Journal` is the only class of this folder that the rest of the cell uses.
 """

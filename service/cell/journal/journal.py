@@ -1,4 +1,4 @@
-"""The journal of one cell: latch and ledger on disk, events to the observers. No method of it blocks."""
+"""The journal of one cell: latch and ledger on disk, events to the observers. Only its opening and `close` block."""
 
 import secrets
 from collections.abc import Callable
@@ -21,7 +21,7 @@ _log = structlog.get_logger("service.cell")
 
 
 class Observer(Protocol):
-    """Hears what the cell did. Called on the event loop's thread, after the deed itself."""
+    """Is told of what the cell did, afterwards, on the event loop's thread."""
 
     def on_event(self, event: Event) -> None: ...
 
