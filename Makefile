@@ -56,7 +56,7 @@ setup-dev: $(DEV) ## prepare .venv for everything
 
 .PHONY: run
 run: $(RUNTIME) ## start the simulated cell and insert one peg (ONCE=1: then exit; PORT=8000; SEED=3)
-	@exec $(BIN)/python -m api.demo --port $(PORT) $(if $(ONCE),--once) $(if $(SEED),--seed $(SEED))
+	@exec $(BIN)/dsl-assembly demo --port $(PORT) $(if $(ONCE),--once) $(if $(SEED),--seed $(SEED))
 
 # --- checks ---------------------------------------------------------------------------------------------------------
 
@@ -100,4 +100,4 @@ report: $(TRAINING) ## write docs/results.html and docs/results.md from results/
 	$(BIN)/dsl-assembly report $(ARGS)
 
 benchmark: $(TRAINING) ## measure, print the tables, save them in benchmarks/results/ (ARGS=--help)
-	$(BIN)/python -m benchmarks $(ARGS)
+	$(BIN)/dsl-assembly bench $(ARGS)

@@ -37,6 +37,6 @@ def plan_first(config: CellConfig) -> Plan:
 
 
 def controller_options(shipped: ShippedCell) -> tuple[str, ...]:
-    """Options of `python -m sim_backend ur-controller` that make it this cell's arm and world."""
+    """Options of `dsl-assembly sim ur-controller` that make it this cell's arm and world."""
     sim = shipped.config.sim
     return "ur-controller", "--host", HOST, "--world", sim.world, "--listen", sim.endpoint

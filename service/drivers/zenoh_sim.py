@@ -13,6 +13,7 @@ from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget,
 from service.drivers.handover import Handover
 from service.drivers.sim_wire import CommandWriter, read_sample, task_of
 from service.faults import FaultCode
+from service.program import PROGRAM
 from wire import keys
 from wire import records as wire
 from wire.session import QueryRefusedError, call_in_loop, close_session, open_session, query
@@ -242,5 +243,5 @@ class ZenohSimDriver:
         except QueryRefusedError as error:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name} refused: {error}") from error
         if not replies:
-            raise DriverError(FaultCode.LINK, f"{self.name} does not answer: is `python -m sim_backend` running?")
+            raise DriverError(FaultCode.LINK, f"{self.name} does not answer: is `{PROGRAM} sim serve` running?")
         return replies

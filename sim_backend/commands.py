@@ -1,6 +1,4 @@
-"""Command line of the simulated cell: `python -m sim_backend` serves it over Zenoh, `… ur-controller` over UR's own
-protocols, `… render` draws it.
-"""
+"""`sim …`: the simulated cell, served over Zenoh (`serve`) or over UR's own protocols (`ur-controller`), or drawn."""
 
 import contextlib
 import os
@@ -43,7 +41,12 @@ EXIT_USAGE = 2
 EXIT_NO_RENDERING = 3
 """This machine lacks what rendering needs."""
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Serve a simulated cell, or an emulated UR controller, or draw it.",
+)
 _PARTS = ", ".join(get_args(Part))
 
 
@@ -61,7 +64,7 @@ def serve(
     seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
     allow_remote: Annotated[bool, typer.Option(help="Allow endpoints outside this machine.")] = False,
 ) -> None:
-    """Serve a simulated cell over Zenoh until SIGINT or SIGTERM (the default command)."""
+    """Serve a simulated cell over Zenoh until SIGINT or SIGTERM."""
     _exit_on_signals()
     endpoints = listen or [DEFAULT_ENDPOINT]
     try:
@@ -193,15 +196,5 @@ def _exit_on_signals() -> None:
 
 
 def _fail(text: str, code: int) -> NoReturn:
-    typer.echo(f"sim_backend: {text}", err=True)
+    typer.echo(f"sim: {text}", err=True)
     raise typer.Exit(code)
-
-
-def _with_command(arguments: list[str]) -> list[str]:
-    """Put `serve` where no command is named: before options alone, or nothing."""
-    named = arguments and (arguments[0] == "--help" or not arguments[0].startswith("-"))
-    return arguments if named else ["serve", *arguments]
-
-
-if __name__ == "__main__":
-    app(_with_command(sys.argv[1:]))

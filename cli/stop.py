@@ -1,0 +1,145 @@
+"""`stop`: the shortest way to a stop, and a second way past an API that does not answer.
+
+Nothing but the standard library is loaded before the request leaves. It is asked of the API. If the API is not there,
+does not answer at once, or does not reach the control process, the control process is asked itself.
+"""
+
+import http.client
+import json
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+from urllib.parse import urlsplit
+
+import typer
+
+from cli.address import DEFAULT_URL, Url
+from cli.exits import Exit, fail
+
+API_S = 4.0
+"""How long the API's answer is waited for: it takes up to 1 s for the delivery and 1 s for the standstill."""
+DIRECT_AFTER_S = 1.0
+"""Silence of the API after which the control process is asked as well."""
+DIRECT_S = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What one way to the cell came to.
+
+    Attributes:
+        by: which way.
+        delivered: the control process has the stop.
+        confirmed: the arm was measured standing after it.
+        text: for people.
+    """
+
+    by: str
+    delivered: bool
+    confirmed: bool
+    text: str
+
+
+def stop(
+    url: Url = DEFAULT_URL,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="TOML file of the cell, to stop it past its API; default: that of the working directory."),
+    ] = None,
+) -> None:
+    """Stop whatever moves, now.
+
+    Without an answer from the API the stop goes straight to the control process of the configured cell. 0: the arm was
+    measured standing. 6: delivered, not measured standing yet. 4: delivered to nobody.
+
+    This is process protection. It is not the robot's emergency stop and replaces none of its certified safety
+    functions.
+    """
+    answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+    _ask(lambda: _over_http(url), "API", answers)
+    try:
+        first = answers.get(timeout=DIRECT_AFTER_S)
+    except queue.Empty:
+        first = Answer("API", False, False, f"the API at {url} has not answered for {DIRECT_AFTER_S:g} s")
+        waiting = 1
+    else:
+        waiting = 0
+    if first.delivered:
+        _end(first)
+    typer.echo(f"stop: {first.text}; asking the control process itself", err=True)
+    _ask(lambda: _past_the_api(url, config), "control process", answers)
+    last = first
+    deadline = time.monotonic() + max(API_S, DIRECT_S + 2.0)
+    for _ in range(waiting + 1):
+        try:
+            last = answers.get(timeout=max(0.0, deadline - time.monotonic()))
+        except queue.Empty:
+            break
+        if last.delivered:
+            _end(last)
+    fail(
+        "stop",
+        f"delivered to nobody: {last.text}. If the robot may be moving, use the robot's own emergency stop",
+        Exit.UNREACHABLE,
+    )
+
+
+def _end(answer: Answer) -> None:
+    typer.echo(answer.text)
+    raise typer.Exit(0 if answer.confirmed else Exit.UNCONFIRMED)
+
+
+def _ask(way: Callable[[], Answer], by: str, answers: "queue.SimpleQueue[Answer]") -> None:
+    """Try one way in a thread, which a command that has ended does not wait for."""
+
+    def run() -> None:
+        try:
+            answers.put(way())
+        except Exception as error:  # whatever it is, the other way must be tried
+            answers.put(Answer(by, False, False, f"the {by} was not reached: {error or type(error).__name__}"))
+
+    threading.Thread(target=run, name=by, daemon=True).start()
+
+
+def _over_http(url: str) -> Answer:
+    address = urlsplit(url)
+    if address.hostname is None or address.scheme not in {"http", "https"}:
+        raise ValueError(f"{url} is no address of an API, such as {DEFAULT_URL}")
+    kind = http.client.HTTPSConnection if address.scheme == "https" else http.client.HTTPConnection
+    connection = kind(address.hostname, address.port, timeout=API_S)
+    connection.request("POST", f"{address.path.rstrip('/')}/stop", headers={"Content-Length": "0"})
+    response = connection.getresponse()
+    said: dict[str, Any] = json.loads(response.read())
+    if response.status not in {200, 202}:
+        return Answer("API", False, False, str(said.get("detail") or f"the API answered {response.status}"))
+    return Answer("API", True, bool(said["confirmed"]), f"{said['state']}: {said['detail']}")
+
+
+def _past_the_api(url: str, config: Path | None) -> Answer:
+    """Ask the control process of the configured cell, if that is the cell whose API was asked."""
+    import asyncio
+
+    from service.config import load
+
+    cell = load(config)
+    address = urlsplit(url)
+    if config is None and (address.hostname not in {"127.0.0.1", "localhost", "::1"} or address.port != cell.api.port):
+        raise ValueError(f"the configured cell {cell.cell.id} is not that of {url}: name its file by --config")
+    return asyncio.run(_directly(cell.cell.id, cell.cell.endpoint))
+
+
+async def _directly(cell_id: str, endpoint: str) -> Answer:
+    from service.client import CellClient
+    from service.messages import StopRequest
+    from service.standstill import confirm, deliver, is_standing
+
+    async with CellClient(cell_id, [endpoint]) as client:
+        request = StopRequest(reason="stop past the API", requested_by="cli")
+        status = await confirm(client, await deliver(client, request, DIRECT_S))
+        standing = is_standing(status)
+        said = "measured standing" if standing else "delivered, but the arm is not measured standing yet"
+        return Answer("control process", True, standing, f"{status.state}: {said}")
