@@ -31,10 +31,14 @@ COMMANDS = {
     "ur": Entry("service.commands.ur:app", "Operate a Universal Robots arm.", PROCESSES),
     "policy": Entry("cli.policy:app", "Look into a policy file, or ask whether it fits a cell.", POLICIES),
     "train": Entry("training.commands.train:train", "Train an experiment, once for each seed.", POLICIES),
-    "export": Entry("training.commands.export:export", "Write a trained policy as one file.", POLICIES),
-    "evaluate": Entry("training.commands.evaluate:evaluate", "Play fresh seeds with a policy.", POLICIES),
-    "report": Entry("training.commands.report:report", "Write the report of all results.", POLICIES),
-    "reproduce": Entry("training.commands.reproduce:reproduce", "Play the report's episodes again.", POLICIES),
+    "export": Entry("training.commands.export:export", "Write a trained policy.", POLICIES),
+    "evaluate": Entry(
+        "training.commands.evaluate:evaluate", "Play fresh seeds with the deterministic policy.", POLICIES
+    ),
+    "report": Entry(
+        "training.commands.report:report", "Write the report of everything in the folder of results.", POLICIES
+    ),
+    "reproduce": Entry("training.commands.reproduce:reproduce", "Play all of the report's episodes again.", POLICIES),
     "baseline": Entry("training.commands.baseline:baseline", "Write a scripted policy.", POLICIES),
     "gallery": Entry("training.commands.gallery:gallery", "Draw each part's insertion.", POLICIES),
     "config": Entry("cli.config:app", "Write, check and describe the configuration of a cell.", PROJECT),

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Self
 import httpx
 import typer
 
-from cli.address import DEFAULT_URL, URL_VARIABLE
+from cli.address import DEFAULT_URL, URL_VARIABLE, is_address
 from cli.exits import Exit, fail
 from service.program import PROGRAM
 
@@ -29,11 +29,9 @@ class Api:
     def __init__(self, command: str, url: str) -> None:
         self.command = command
         self.url = url.rstrip("/")
-        try:
-            self._http = httpx.Client(base_url=self.url, trust_env=False, timeout=TIMEOUT_S)
-            self._http.build_request("GET", "/status")
-        except (httpx.InvalidURL, httpx.UnsupportedProtocol) as error:
-            fail(command, f"{url} is no address of an API ({error}): give --url, such as {DEFAULT_URL}", Exit.USAGE)
+        if not is_address(self.url):
+            fail(command, f"{url} is no address of an API: it looks like {DEFAULT_URL}", Exit.USAGE)
+        self._http = httpx.Client(base_url=self.url, trust_env=False, timeout=TIMEOUT_S)
 
     def __enter__(self) -> Self:
         return self

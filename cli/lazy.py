@@ -1,4 +1,4 @@
-"""A group of commands that imports a command's module when the command is run or asked for its help, not before."""
+"""A group of commands that imports a command's module when the command is called, not before."""
 
 import importlib
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ class Entry:
 
     Attributes:
         target: `module:name` of a function or of a `typer.Typer`.
-        help: the first sentence of its own help.
+        help: how its own help begins.
         panel: heading that it is listed under.
     """
 
@@ -23,35 +23,27 @@ class Entry:
     help: str
     panel: str
 
-    def load(self) -> Any:
-        """Import the function or the `typer.Typer`."""
-        module, _, name = self.target.partition(":")
-        return getattr(importlib.import_module(module), name)
-
 
 class LazyGroup(TyperGroup):
-    """Lists `entries` from what they say here, and loads the one that is called."""
+    """Lists `entries` from what they say, and loads the one that is called."""
 
     entries: ClassVar[Mapping[str, Entry]] = {}
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names in the order of the table."""
-        return list(self.entries)
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a stand-in that can be listed; `resolve_command` loads the real one."""
-        entry = self.entries.get(cmd_name)
-        return entry and TyperCommand(cmd_name, help=entry.help, rich_help_panel=entry.panel)
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        for name, entry in self.entries.items():
+            self.add_command(TyperCommand(name, help=entry.help, rich_help_panel=entry.panel))
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command that is called, and load it."""
+        """Find the command that is called, and load it in place of its stand-in."""
         name, command, rest = super().resolve_command(ctx, args)
-        return name, command and load(self.entries[command.name or ""], command.name or ""), rest
+        return name, load(self.entries[name], name) if name in self.entries else command, rest
 
 
 def load(entry: Entry, name: str) -> Any:
     """Import an entry's target and return it as a command or a group of that name."""
-    target = entry.load()
+    module, _, attribute = entry.target.partition(":")
+    target = getattr(importlib.import_module(module), attribute)
     if not isinstance(target, typer.Typer):
         alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
         alone.command(name)(target)

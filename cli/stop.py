@@ -10,6 +10,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +18,7 @@ from urllib.parse import urlsplit
 
 import typer
 
-from cli.address import DEFAULT_URL, Url
+from cli.address import DEFAULT_URL, Url, is_address
 from cli.exits import Exit, fail
 
 API_S = 4.0
@@ -59,6 +60,8 @@ def stop(
     This is process protection. It is not the robot's emergency stop and replaces none of its certified safety
     functions.
     """
+    if not is_address(url):
+        fail("stop", f"{url} is no address of an API: it looks like {DEFAULT_URL}", Exit.USAGE)
     answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
     _ask(lambda: _over_http(url), "API", answers)
     try:
@@ -107,13 +110,11 @@ def _ask(way: Callable[[], Answer], by: str, answers: "queue.SimpleQueue[Answer]
 
 def _over_http(url: str) -> Answer:
     address = urlsplit(url)
-    if address.hostname is None or address.scheme not in {"http", "https"}:
-        raise ValueError(f"{url} is no address of an API, such as {DEFAULT_URL}")
     kind = http.client.HTTPSConnection if address.scheme == "https" else http.client.HTTPConnection
-    connection = kind(address.hostname, address.port, timeout=API_S)
-    connection.request("POST", f"{address.path.rstrip('/')}/stop", headers={"Content-Length": "0"})
-    response = connection.getresponse()
-    said: dict[str, Any] = json.loads(response.read())
+    with closing(kind(address.hostname or "", address.port, timeout=API_S)) as connection:
+        connection.request("POST", f"{address.path.rstrip('/')}/stop", headers={"Content-Length": "0"})
+        response = connection.getresponse()
+        said: dict[str, Any] = json.loads(response.read())
     if response.status not in {200, 202}:
         return Answer("API", False, False, str(said.get("detail") or f"the API answered {response.status}"))
     return Answer("API", True, bool(said["confirmed"]), f"{said['state']}: {said['detail']}")
