@@ -37,7 +37,7 @@ class LazyGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that is called, and load it in place of its stand-in."""
         name, command, rest = super().resolve_command(ctx, args)
-        return name, load(self.entries[name], name) if name in self.entries else command, rest
+        return name, load(self.entries[name], name) if name is not None else command, rest
 
 
 def load(entry: Entry, name: str) -> Any:

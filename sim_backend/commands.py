@@ -90,15 +90,19 @@ def serve(
 
 @app.command("ur-controller")
 def ur_controller(
-    host: Annotated[str, typer.Option(help="Address of this machine that the controller has.")] = "127.0.0.1",
-    any_ports: Annotated[bool, typer.Option(help="Take free ports instead of UR's; the ready line tells.")] = False,
+    host: Annotated[
+        str, typer.Option(help="Loopback address of this machine to listen on, with UR's ports.")
+    ] = "127.0.0.1",
+    any_ports: Annotated[
+        bool, typer.Option(help="Take free ports instead of UR's; the ready line names them.")
+    ] = False,
     part: Annotated[str, typer.Option(help=f"Peg and hole of the first episode: {_PARTS}.")] = "tr",
     seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
     world: Annotated[str, typer.Option(help="Name of the world in its Zenoh keys, sim/<world>/….")] = DEFAULT_WORLD,
     listen: Annotated[
         list[str] | None, typer.Option(help="Zenoh endpoint for what surrounds the arm; none unless given.")
     ] = None,
-    connect: Annotated[list[str] | None, typer.Option(help="Zenoh endpoint to join, likewise.")] = None,
+    connect: Annotated[list[str] | None, typer.Option(help="Zenoh endpoint to join; none unless given.")] = None,
     programs: Annotated[
         Path | None, typer.Option(help="Folder of URScript files: NAME.script can be loaded as NAME.urp.")
     ] = None,
@@ -151,8 +155,8 @@ def render(
     part: Annotated[str, typer.Option(help=f"Peg and hole: {_PARTS}.")] = "tr",
     clearance_m: Annotated[float, typer.Option(help="Clearance per face, m.")] = 2e-3,
     camera: Annotated[str, typer.Option(help=f"One of {', '.join(appearance.CAMERAS)}.")] = "overview",
-    width: Annotated[int, typer.Option(min=16, max=1920)] = 1280,
-    height: Annotated[int, typer.Option(min=16, max=1080)] = 720,
+    width: Annotated[int, typer.Option(min=16, max=1920, help="Width of the picture, px.")] = 1280,
+    height: Annotated[int, typer.Option(min=16, max=1080, help="Height of the picture, px.")] = 720,
 ) -> None:
     """Draw the start of an episode."""
     try:

@@ -5,7 +5,7 @@ stop, and the gripper.
 import asyncio
 from collections.abc import Callable, Coroutine
 from enum import StrEnum
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
@@ -81,7 +81,7 @@ class GripperAction(StrEnum):
 
 
 @app.command()
-def gripper(action: GripperAction, config: ConfigPath = None) -> None:
+def gripper(action: Annotated[GripperAction, typer.Argument(help="Ask, or move.")], config: ConfigPath = None) -> None:
     """Ask a Robotiq gripper how it stands, or move its fingers: opening, and activating, drops what they hold."""
     ur = ur_section(load_cell(config))
     status = _do(lambda: _ask_gripper(Gripper(ur.host, ur.gripper_port), action))

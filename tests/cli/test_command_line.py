@@ -83,3 +83,17 @@ def test_where_the_training_extra_is_not_installed_its_commands_say_so_in_one_li
     assert done.returncode == 2, done.stderr
     assert "it needs the extra `training`" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_the_reference_names_every_command_and_every_option() -> None:
+    page = next((ROOT / "docs").rglob("command.md")).read_text()
+    sections = {part.partition("`")[0]: part.partition("\n")[2] for part in page.split("### `dsl-assembly ")[1:]}
+    found = {name: load(entry, name) for name, entry in COMMANDS.items()}
+    for name, group in list(found.items()):
+        if isinstance(group, TyperGroup):
+            del found[name]
+            found |= {f"{name} {part}": member for part, member in group.commands.items()}
+    assert sections.keys() == found.keys()
+    for name, loaded in found.items():
+        options = {option for parameter in loaded.params for option in parameter.opts if option.startswith("--")}
+        assert not [option for option in options - {"--help"} if f"`{option}`" not in sections[name]], name

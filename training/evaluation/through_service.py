@@ -123,7 +123,7 @@ def play(
     with tempfile.TemporaryDirectory(prefix="dsl-assembly-") as directory, ExitStack() as processes:
         sim_endpoint, cell_endpoint = (f"tcp/{HOST}:{port}" for port in _free_ports(2))
         world = ["sim", *_arm(setting), "--world", WORLD, "--listen", sim_endpoint]
-        logs = [Path(directory) / name for name in ("simulator.log", "service.log")]
+        logs = [Path(directory) / name for name in ("simulator.log", "control-process.log")]
         simulator = processes.enter_context(_process(world, logs[0]))
         ready = _await_line(simulator, logs[0])
         config = Path(directory) / "cell.toml"
