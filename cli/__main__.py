@@ -1,6 +1,5 @@
 """The command line: `dsl-assembly`, and `python -m cli` where this project starts a process of its own."""
 
-from importlib.metadata import version as installed_version
 from typing import Annotated
 
 import typer
@@ -58,7 +57,9 @@ app = typer.Typer(cls=Commands, add_completion=False, no_args_is_help=True, pret
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"{PROGRAM} {installed_version(PROGRAM)}")
+        from api.version import installed_version
+
+        typer.echo(f"{PROGRAM} {installed_version()}")
         raise typer.Exit
 
 

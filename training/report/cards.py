@@ -1,6 +1,6 @@
 """Model cards: what every policy file is for, does and was measured to do, from its contract and its results alone.
 
-A sentence that neither of them can say is in `training/cards.toml`.
+A sentence that neither of them can say is in `training/report/cards.toml`.
 """
 
 import math
@@ -16,7 +16,6 @@ from pydantic import BaseModel, ConfigDict
 from service.policy.contract import EvaluationFigure, PolicyContract
 from service.policy.model import Policy
 from service.policy.observation import ENTRIES, Need
-from service.safety import dsl
 from training import files
 from training.evaluation.results import Block as Measurement
 from training.evaluation.results import Results, ResultsError
@@ -24,13 +23,14 @@ from training.report import accounts, paper
 from training.report.document import Block, Document, Heading, Judged, Paragraph, Table
 from training.report.measured import NOT_MEASURED, Measured, commit_name, interval, mean_steps, peaks, percent
 from training.report.own_chapters import THROUGH
+from wire.limits import LockMode
 from wire.task import Part
 
 TITLE = "Models"
 PAGE = "models.md"
 GLANCE_MM = (1.33, 0.33)
 """Clearances per face of the first table: the paper's two gaps."""
-USUAL_LOCKS: tuple[dsl.Mode, ...] = ("paper", "peck")
+USUAL_LOCKS: tuple[LockMode, ...] = ("paper",)
 """Those that a recipe runs unless it says otherwise."""
 
 MODES = {
@@ -38,9 +38,8 @@ MODES = {
     "FTM": "knows the contact; for the hole stands its nominal centre",
     "VM": "knows the hole and nothing of the contact",
 }
-LOCKS: Mapping[dsl.Mode, str] = {
+LOCKS: Mapping[LockMode, str] = {
     "paper": "the paper's Algorithm 1, creeping down until contact and from there limiting how deep the policy may ask",
-    "peck": "creeps down until contact; from there it presses, feels and lifts, and the policy has no z",
     "sliding": "creeps down until contact; from there the policy owns z, and the lock limits nothing",
     "off": "the command is the policy's from the beginning",
 }
@@ -106,7 +105,7 @@ class Card:
 
 
 def notes() -> dict[str, Note]:
-    """Read `training/cards.toml`: notes by the name of the model's file."""
+    """Read `training/report/cards.toml`: notes by the name of the model's file."""
     document = tomllib.loads(Path(paper.__file__).with_name("cards.toml").read_text())
     return {name: Note.model_validate(note) for name, note in document.items()}
 
@@ -156,14 +155,14 @@ def _glance(cards: Sequence[Card]) -> Iterator[Block]:
     size = sum(card.size_bytes for card in cards) / 1e3
     yield Paragraph(
         f"{len(cards)} policies, {size:.0f} kB in all. `dsl-assembly report` writes this page from each file's "
-        "contract ([policy-contract.md](policy-contract.md)) and from `results/`, and says nothing that they do not "
-        "say, but for the use and the known weakness of a model, which are in `training/cards.toml`. Results of "
+        "contract ([policy-contract.md](reference/policy-contract.md)) and from `results/`, and says nothing that they "
+        "do not say, but for the use and the known weakness of a model, which are in `training/report/cards.toml`. Results of "
         "another file of the same name do not count."
     )
     yield Paragraph(
         "All results are from simulation. Policies are deterministic; clearances are per face; intervals are 95 % "
         "Wilson intervals; peak force is the largest resultant over every 2 ms sample of an episode. "
-        "[conditions.md](conditions.md) has the distributions behind the names of conditions, "
+        "[conditions.md](reference/conditions.md) has the distributions behind the names of conditions, "
         "[results.md](results.md) the comparison with the paper."
     )
     yield Heading("All models")
@@ -277,8 +276,6 @@ def _limits(contract: PolicyContract) -> Iterator[Block]:
         )
     if lock.mode == "paper":
         text += f" A command may go {lock.press_m * 1e3:g} mm below the lock."
-    if lock.mode == "peck":
-        text += f" A press goes {lock.press_m * 1e3:g} mm below the lock."
     yield Paragraph(text)
     yield Table(
         ["compliance law about the TCP", "x", "y", "z", "about x", "about y", "about z"],

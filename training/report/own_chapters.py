@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from service.safety import dsl
 from training.evaluation.results import Block as Measurement
 from training.evaluation.results import Results, wilson
 from training.report import plots, policies
@@ -24,6 +23,7 @@ from training.report.measured import (
     success,
 )
 from training.report.paper import Comparison, Level, Locked, Strength
+from wire.limits import LockMode
 
 THROUGH = {"environment": "environment", "zenoh": "service over Zenoh", "rtde": "service over RTDE"}
 
@@ -111,7 +111,7 @@ def conditions(measured: Measured) -> Iterator[Block]:
         "has it, noise included; tables give median / 99th percentile / maximum over episodes. That sensor ends at 30"
         " N per channel, so what is said to be more than 30 N was at least that: the load behind the largest of the "
         "conditions `stiff`, 52.6 N, was 128 N. c is the clearance per face. The distributions `standard`, `search`, "
-        "`stiff` and `transfer` are in [conditions.md](conditions.md)."
+        "`stiff` and `transfer` are in [conditions.md](reference/conditions.md)."
     )
     sessions = [s for results in measured.results.values() for block in results.blocks for s in block.sessions]
     if sessions:
@@ -337,7 +337,7 @@ def _row(name: str, results: Results, block: Measurement) -> list[str | Judged]:
     setting = block.setting
     commits = dict.fromkeys(f"`{commit_name(session.commit)}`" for session in block.sessions)
     machines = dict.fromkeys(session.machine for session in block.sessions)
-    lock: dsl.Mode = setting.lock
+    lock: LockMode = setting.lock
     return [
         f"`{name}`",
         setting.part,
