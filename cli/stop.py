@@ -25,7 +25,9 @@ API_S = 4.0
 """How long the API's answer is waited for: it takes up to 1 s for the delivery and 1 s for the standstill."""
 DIRECT_AFTER_S = 1.0
 """Silence of the API after which the control process is asked as well."""
-DIRECT_S = 3.0
+DELIVERY_S = 3.0
+ALL_S = 6.0
+"""How long both ways may take together, from the moment at which the second one is tried."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +35,11 @@ class Answer:
     """What one way to the cell came to.
 
     Attributes:
-        by: which way.
         delivered: the control process has the stop.
         confirmed: the arm was measured standing after it.
         text: for people.
     """
 
-    by: str
     delivered: bool
     confirmed: bool
     text: str
@@ -54,8 +54,8 @@ def stop(
 ) -> None:
     """Stop whatever moves, now.
 
-    Without an answer from the API the stop goes straight to the control process of the configured cell. 0: the arm was
-    measured standing. 6: delivered, not measured standing yet. 4: delivered to nobody.
+    Without an answer from the API the stop goes straight to the control process of the configured cell. Status 0: the
+    arm was measured standing. 6: delivered, not measured standing yet. 4: delivered to nobody.
 
     This is process protection. It is not the robot's emergency stop and replaces none of its certified safety
     functions.
@@ -63,32 +63,28 @@ def stop(
     if not is_address(url):
         fail("stop", f"{url} is no address of an API: it looks like {DEFAULT_URL}", Exit.USAGE)
     answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
-    _ask(lambda: _over_http(url), "API", answers)
+    failures: list[str] = []
+    _try(lambda: _over_http(url), "API", answers)
+    answered = _take(answers, DIRECT_AFTER_S, failures)
+    _try(lambda: _past_the_api(url, config), "control process", answers)
+    deadline = time.monotonic() + ALL_S
+    for _ in range(1 if answered else 2):
+        _take(answers, deadline - time.monotonic(), failures)
+    why = "; ".join(failures) or f"the API at {url} has not answered"
+    text = f"delivered to nobody: {why}. If the robot may be moving, use the robot's own emergency stop"
+    fail("stop", text, Exit.UNREACHABLE)
+
+
+def _take(answers: "queue.SimpleQueue[Answer]", seconds: float, failures: list[str]) -> bool:
+    """Wait for an answer, and return whether there is one; one that delivered the stop ends the command."""
     try:
-        first = answers.get(timeout=DIRECT_AFTER_S)
+        answer = answers.get(timeout=max(0.0, seconds))
     except queue.Empty:
-        first = Answer("API", False, False, f"the API at {url} has not answered for {DIRECT_AFTER_S:g} s")
-        waiting = 1
-    else:
-        waiting = 0
-    if first.delivered:
-        _end(first)
-    typer.echo(f"stop: {first.text}; asking the control process itself", err=True)
-    _ask(lambda: _past_the_api(url, config), "control process", answers)
-    last = first
-    deadline = time.monotonic() + max(API_S, DIRECT_S + 2.0)
-    for _ in range(waiting + 1):
-        try:
-            last = answers.get(timeout=max(0.0, deadline - time.monotonic()))
-        except queue.Empty:
-            break
-        if last.delivered:
-            _end(last)
-    fail(
-        "stop",
-        f"delivered to nobody: {last.text}. If the robot may be moving, use the robot's own emergency stop",
-        Exit.UNREACHABLE,
-    )
+        return False
+    if answer.delivered:
+        _end(answer)
+    failures.append(answer.text)
+    return True
 
 
 def _end(answer: Answer) -> None:
@@ -96,14 +92,14 @@ def _end(answer: Answer) -> None:
     raise typer.Exit(0 if answer.confirmed else Exit.UNCONFIRMED)
 
 
-def _ask(way: Callable[[], Answer], by: str, answers: "queue.SimpleQueue[Answer]") -> None:
+def _try(way: Callable[[], Answer], by: str, answers: "queue.SimpleQueue[Answer]") -> None:
     """Try one way in a thread, which a command that has ended does not wait for."""
 
     def run() -> None:
         try:
             answers.put(way())
         except Exception as error:  # whatever it is, the other way must be tried
-            answers.put(Answer(by, False, False, f"the {by} was not reached: {error or type(error).__name__}"))
+            answers.put(Answer(False, False, f"the {by} was not reached: {error or type(error).__name__}"))
 
     threading.Thread(target=run, name=by, daemon=True).start()
 
@@ -116,8 +112,8 @@ def _over_http(url: str) -> Answer:
         response = connection.getresponse()
         said: dict[str, Any] = json.loads(response.read())
     if response.status not in {200, 202}:
-        return Answer("API", False, False, str(said.get("detail") or f"the API answered {response.status}"))
-    return Answer("API", True, bool(said["confirmed"]), f"{said['state']}: {said['detail']}")
+        return Answer(False, False, str(said.get("detail") or f"the API answered {response.status}"))
+    return Answer(True, bool(said["confirmed"]), f"{said['state']}: {said['detail']}")
 
 
 def _past_the_api(url: str, config: Path | None) -> Answer:
@@ -140,7 +136,7 @@ async def _directly(cell_id: str, endpoint: str) -> Answer:
 
     async with CellClient(cell_id, [endpoint]) as client:
         request = StopRequest(reason="stop past the API", requested_by="cli")
-        status = await confirm(client, await deliver(client, request, DIRECT_S))
+        status = await confirm(client, await deliver(client, request, DELIVERY_S))
         standing = is_standing(status)
         said = "measured standing" if standing else "delivered, but the arm is not measured standing yet"
-        return Answer("control process", True, standing, f"{status.state}: {said}")
+        return Answer(True, standing, f"{status.state}: {said}")
