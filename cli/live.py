@@ -18,6 +18,15 @@ COLOURS = {"SUCCEEDED": "green", "ACTIVE": "blue", "READY": "green", "LATCHED": 
 STREAM_SILENCE_S = 3.0
 """Longer than the API is ever silent on `/events`."""
 RECONNECT_S = 0.5
+PIPE_WIDTH = 240
+
+
+def plain_console() -> Console:
+    """Return a console for tables: what is piped elsewhere is cut at no edge of a terminal."""
+    console = Console(highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
+    return console
 
 
 class View:

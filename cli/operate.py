@@ -15,7 +15,7 @@ from rich.table import Table
 from cli.address import DEFAULT_URL, Url
 from cli.connection import Api, AsJson
 from cli.exits import Exit, fail
-from cli.live import View, millimetres, outcome
+from cli.live import View, millimetres, outcome, plain_console
 from service.program import PROGRAM
 
 POLL_S = 0.1
@@ -64,7 +64,7 @@ def status(url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
     if as_json:
         typer.echo(json.dumps(found))
     else:
-        Console(highlight=False, soft_wrap=True).print(_describe(found))
+        plain_console().print(_describe(found))
     if found["state"] == "UNKNOWN":
         raise typer.Exit(Exit.UNREACHABLE)
 
@@ -114,7 +114,7 @@ def runs(
             millimetres(run["depth_m"]),
             f"{run['peak_force_n']:.1f} N",
         )
-    Console(highlight=False, soft_wrap=True).print(table if page else "no run yet")
+    plain_console().print(table if page else "no run yet")
 
 
 def _only_recipe(api: Api) -> str:

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from cli.exits import Exit, fail
+from cli.live import plain_console
 from service.cell.policies import PolicyRefusedError, PolicyShelf
 from service.commands.configured import ConfigPath, load_cell
 from service.commands.drivers import make_driver
@@ -36,7 +37,7 @@ def inspect(
     if as_json:
         typer.echo(policy.contract.to_json())
     else:
-        Console(highlight=False, soft_wrap=True, markup=False).print(_describe(policy))
+        plain_console().print(_describe(policy))
 
 
 @app.command()
@@ -77,7 +78,7 @@ def _describe(policy: Policy) -> Table:
         *_evaluation(contract),
         ("provenance", ", ".join(_plain(contract.provenance)) or "none stated"),
     ):
-        table.add_row(name, value)
+        table.add_row(name, escape(value))
     return table
 
 

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from service.faults import FaultCode
-from service.messages import CellState, Problem, Reason
+from service.messages import CellState, Problem, RefusalReason
 from tests.api.wire_cell import RECIPE, WireCell, free_port
 from tests.cli.serving import run, wait_for_state
 
@@ -45,7 +45,7 @@ def test_a_start_as_json_is_the_run_and_nothing_else(url: str, cell: WireCell) -
 
 
 def test_an_unknown_recipe_is_refused_by_name(url: str, cell: WireCell) -> None:
-    cell.refuse_start = Problem(reason=Reason.UNKNOWN_RECIPE, detail="no recipe 'cube'", state=CellState.READY)
+    cell.refuse_start = Problem(reason=RefusalReason.UNKNOWN_RECIPE, detail="no recipe 'cube'", state=CellState.READY)
     done = run("start", "cube", "--url", url)
     assert done.exit_code == 5
     assert "cube" in done.stderr
@@ -94,7 +94,10 @@ def test_runs_are_listed_newest_first(url: str, cell: WireCell) -> None:
         wait_for_state(url, "READY")
     found = json.loads(run("runs", "--json", "--url", url).stdout)
     assert [item["seed"] for item in found] == [2, 1]
-    assert run("runs", "--limit", "1", "--url", url).stdout.count(RECIPE) == 1
+    listed = run("runs", "--limit", "1", "--url", url).stdout
+    assert listed.count(RECIPE) == 1
+    assert len(listed.strip().splitlines()) == 2, "a heading and a line per run, however long"
+    assert "SUCCEEDED" in listed
 
 
 @pytest.mark.parametrize("command", [["start"], ["status"], ["reset", "--operator", "a"], ["runs"], ["watch"]])
