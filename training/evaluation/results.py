@@ -139,6 +139,56 @@ class Session(Section):
     wall_s: float
 
 
+class Replay(Section):
+    """Episodes that were played again with earlier and with later sources.
+
+    Attributes:
+        through: what played them.
+        policy: name of the file that played: the measured policy, or one that stands in for it.
+        compared: what was compared of each episode.
+        blocks: how many settings.
+        episodes: played with either sources.
+        agreed: how many of them agree.
+        as_on_file: the measured policy played, and the episodes also agree with those on file.
+    """
+
+    through: Through
+    policy: str
+    compared: str
+    blocks: int
+    episodes: int
+    agreed: int
+    as_on_file: bool
+
+
+class Carried(Section):
+    """One change of the sources that results were carried over, because it alters no episode.
+
+    Attributes:
+        date: and time, UTC.
+        from_sources: digest before.
+        to_sources: digest after.
+        from_deployed_sources: digest of the service's before; None: its episodes were not carried.
+        to_deployed_sources: after.
+        from_commit: revision before.
+        to_commit: revision after.
+        machine: processor and cores that played the episodes.
+        versions: of Python and the packages that matter.
+        replays: what was played and compared.
+    """
+
+    date: str
+    from_sources: str
+    to_sources: str
+    from_deployed_sources: str | None
+    to_deployed_sources: str | None
+    from_commit: str | None
+    to_commit: str | None
+    machine: str
+    versions: dict[str, str]
+    replays: tuple[Replay, ...]
+
+
 class Block(Section):
     """Episodes under one setting, in the order of their seeds."""
 
@@ -159,7 +209,7 @@ class Block(Section):
     @field_serializer("episodes")
     def _to_columns(self, episodes: tuple[EpisodeResult, ...]) -> dict[str, list[JsonValue]]:
         rows = [asdict(episode) for episode in episodes]
-        return {name: [_short(row[name]) for row in rows] for name in EpisodeResult.__slots__}
+        return {name: [rounded(row[name]) for row in rows] for name in EpisodeResult.__slots__}
 
     @property
     def successes(self) -> int:
@@ -258,6 +308,7 @@ class Results(Section):
         press_m: how far below the lock a command may go.
         seek_step_m: the lock's increment downwards before contact.
         provenance: its contract's: how it was trained.
+        carried: changes of the sources since the episodes were played, oldest first.
         blocks: one per setting.
     """
 
@@ -274,6 +325,7 @@ class Results(Section):
     press_m: float
     seek_step_m: float
     provenance: dict[str, JsonValue]
+    carried: tuple[Carried, ...] = ()
     blocks: tuple[Block, ...] = ()
 
     @model_validator(mode="after")
@@ -322,6 +374,13 @@ class Results(Section):
             raise ResultsError(f"{path} holds no results: {error}") from error
 
 
+def rounded(value: Any) -> JsonValue:
+    """Return a value of an episode as a file holds it."""
+    if isinstance(value, bool):
+        return int(value)
+    return round(value, 3) if isinstance(value, float) else value
+
+
 @contextmanager
 def exclusive(path: Path) -> Generator[None]:
     """Keep other processes from adding to a results file while the context lasts.
@@ -338,12 +397,6 @@ def exclusive(path: Path) -> Generator[None]:
                 f"another process is measuring into {path}: wait until it has ended, or choose another --name"
             ) from None
         yield
-
-
-def _short(value: Any) -> JsonValue:
-    if isinstance(value, bool):
-        return int(value)
-    return round(value, 3) if isinstance(value, float) else value
 
 
 def _laid_out(value: Any, depth: int) -> str:

@@ -75,7 +75,7 @@ def test_prose_leaves_the_digests_and_a_number_alters_them(tmp_path: Path, monke
     assert docstring.startswith('"""')
     number = "SUCCESS_DEPTH_M = 2.5e-3"
     assert number in text
-    module.write_text(text.replace(docstring, f'"""Other words."""  # a comment\n\n"""\nMore.\n'))
+    module.write_text(text.replace(docstring, '"""Other words."""  # a comment\n\n"""\nMore.\n'))
     assert digests() == before
     module.write_text(text.replace(number, "SUCCESS_DEPTH_M = 2.6e-3"))
     assert all(now != old for now, old in zip(digests(), before, strict=True))
