@@ -39,7 +39,7 @@ _REMEDY = "choose another --name or folder, or drop them (evaluate: --anew)"
 
 def evaluate(
     model: Annotated[Path, typer.Argument(help="ONNX file of the policy.")],
-    plan: Annotated[list[paper.Plan] | None, typer.Option(help="Cells of a table; may be repeated.")] = None,
+    plan: Annotated[list[paper.TablePlan] | None, typer.Option(help="Cells of a table; may be repeated.")] = None,
     clearance: Annotated[list[float] | None, typer.Option(help="Per face, mm; may be repeated.")] = None,
     part: Annotated[Part | None, typer.Option(help="With --clearance; default: the policy's first.")] = None,
     conditions: Annotated[
@@ -181,7 +181,7 @@ class _Keeper:
 
 def _settings(
     policy: Policy,
-    plans: Sequence[paper.Plan],
+    plans: Sequence[paper.TablePlan],
     clearances: Sequence[float],
     part: Part | None,
     conditions: Conditions | None,

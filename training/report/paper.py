@@ -19,7 +19,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Millimetres = Annotated[float, Field(gt=0)]
 
 
-class Plan(StrEnum):
+class TablePlan(StrEnum):
     """What one table needs of a policy."""
 
     STRENGTH = "strength"
@@ -27,11 +27,11 @@ class Plan(StrEnum):
     TABLE_2 = "table-2"
 
 
-class Section(BaseModel):
+class PaperSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Printed(Section):
+class Printed(PaperSection):
     """One pair of columns of Table I."""
 
     reward: float
@@ -40,14 +40,14 @@ class Printed(Section):
     success_variance: float
 
 
-class Gap(Section):
+class Gap(PaperSection):
     """A gap of Table I by the paper's name, and the clearances that it may stand for: real part, simulated scene."""
 
     name: str
     clearance_mm: tuple[Millimetres, Millimetres]
 
 
-class Row(Section):
+class Table1Row(PaperSection):
     """A row of Table I.
 
     Attributes:
@@ -69,12 +69,12 @@ class Row(Section):
         return f"{self.reproduced}-c{round(clearance_mm * 100):03d}"
 
 
-class Table1(Section):
+class Table1(PaperSection):
     gaps: tuple[Gap, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[Table1Row, ...]
 
 
-class Cell(Section):
+class TransferCell(PaperSection):
     """A cell of Table II.
 
     Attributes:
@@ -101,7 +101,7 @@ class Cell(Section):
         return self.printed if self.text is None else max(self.printed, self.text)
 
 
-class Table2(Section):
+class Table2(PaperSection):
     """Table II.
 
     Attributes:
@@ -116,15 +116,15 @@ class Table2(Section):
     beside: tuple[str, ...]
     conditions: Conditions
     usual: Conditions
-    cells: tuple[Cell, ...]
+    cells: tuple[TransferCell, ...]
 
     @property
-    def usual_cells(self) -> tuple[Cell, ...]:
+    def usual_cells(self) -> tuple[TransferCell, ...]:
         """What is also played in the usual conditions: not the triangle, which `Strength` has at every level."""
         return tuple(cell for cell in self.cells if cell.part != "tr")
 
 
-class Level(Section):
+class ClearanceLevel(PaperSection):
     """A clearance with our target of success, and the paper's success where it has one."""
 
     clearance_mm: Millimetres
@@ -132,13 +132,13 @@ class Level(Section):
     paper: Share | None = None
 
 
-class FtmTarget(Section):
+class FtmTarget(PaperSection):
     results: str
     clearance_mm: Millimetres
     target: Share
 
 
-class Strength(Section):
+class Strength(PaperSection):
     """Our own levels.
 
     Attributes:
@@ -155,10 +155,10 @@ class Strength(Section):
     hardened: Conditions
     ftm: FtmTarget
     peak_force_p99_n: float
-    levels: tuple[Level, ...]
+    levels: tuple[ClearanceLevel, ...]
 
 
-class Locked(Section):
+class Locked(PaperSection):
     """A policy under a lock: its own, unless another one is named."""
 
     name: str
@@ -166,19 +166,19 @@ class Locked(Section):
     lock: dsl.Mode | None = None
 
 
-class Force(Section):
+class Force(PaperSection):
     """What is compared in force; every row with the first."""
 
     rows: tuple[Locked, ...]
     clearance_mm: tuple[Millimetres, ...]
 
 
-class CurveRun(Section):
+class CurveRun(PaperSection):
     name: str
     experiment: str
 
 
-class Curves(Section):
+class Curves(PaperSection):
     """A figure of learning curves.
 
     Attributes:
@@ -194,7 +194,7 @@ class Curves(Section):
     runs: tuple[CurveRun, ...]
 
 
-class Comparison(Section):
+class Comparison(PaperSection):
     """All of `paper.toml`."""
 
     table_1: Table1
@@ -220,13 +220,13 @@ def conditions_for(mode: Mode) -> Conditions:
     return "search" if mode == "FTM" else "standard"
 
 
-def cells_of(plan: Plan, mode: Mode) -> list[tuple[Part, float, Conditions]]:
+def cells_of(plan: TablePlan, mode: Mode) -> list[tuple[Part, float, Conditions]]:
     """What a plan measures of a policy: part, clearance per face in m, conditions."""
     everything = comparison()
-    if plan is Plan.TABLE_2:
+    if plan is TablePlan.TABLE_2:
         table = everything.table_2
         return [(cell.part, metres(cell.clearance_mm), table.conditions) for cell in table.cells]
-    if plan is Plan.TABLE_1:
+    if plan is TablePlan.TABLE_1:
         levels = [level for gap in everything.table_1.gaps for level in gap.clearance_mm]
     else:
         levels = [level.clearance_mm for level in everything.strength.levels]
@@ -239,15 +239,15 @@ def reported(name: str, mode: Mode) -> list[tuple[Part, float, Conditions, dsl.M
     strength, transfer = everything.strength, everything.table_2
     rows = everything.table_1.rows
     plans = [
-        (Plan.STRENGTH, name in (strength.results, *strength.beside)),
-        (Plan.TABLE_1, name in [row.ours for row in rows]),
-        (Plan.TABLE_2, name in (transfer.results, *transfer.beside)),
+        (TablePlan.STRENGTH, name in (strength.results, *strength.beside)),
+        (TablePlan.TABLE_1, name in [row.ours for row in rows]),
+        (TablePlan.TABLE_2, name in (transfer.results, *transfer.beside)),
     ]
     found: list[tuple[Part, float, Conditions, dsl.Mode | None]] = [
         (*cell, None) for plan, wanted in plans if wanted for cell in cells_of(plan, mode)
     ]
     if name == strength.results:
-        for part, level, _ in cells_of(Plan.STRENGTH, mode):
+        for part, level, _ in cells_of(TablePlan.STRENGTH, mode):
             found.append((part, level, strength.hardened, None))
     if name in (transfer.results, *transfer.beside):
         for cell in transfer.usual_cells:

@@ -48,7 +48,7 @@ class Rate:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class PlotLine:
     """One curve: `x` (k,), and `y` (seeds, k) where each row is a seed's."""
 
     name: str
@@ -102,7 +102,7 @@ def success_by_clearance(
         return _svg(figure)
 
 
-def learning(lines: Sequence[Line], returns: Sequence[Line], reward: str) -> str:
+def learning(lines: Sequence[PlotLine], returns: Sequence[PlotLine], reward: str) -> str:
     """Success and return of the evaluations as training goes on; seeds thin, their mean thick.
 
     Args:
