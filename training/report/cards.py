@@ -157,7 +157,7 @@ def _glance(cards: Sequence[Card]) -> Iterator[ReportBlock]:
     yield Paragraph(
         f"The project ships {len(cards)} policies, {size:.0f} kB in all. `dsl-assembly report` writes this page from "
         f"the contract in each file ([{pages.POLICY_CONTRACT}]({pages.POLICY_CONTRACT})) and from `results/`. Use and "
-        "known weakness of a model are in `training/report/cards.toml`. Results count only if they are of the very file."
+        "known weakness of a model are in `training/report/cards.toml`. Only results of the very file count."
     )
     yield Paragraph(
         "All results are from simulation. Policies are deterministic. Clearances are per face. Intervals are 95 % "

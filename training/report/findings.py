@@ -80,13 +80,15 @@ def _sentences(measured: Measured, comparison: Comparison, lines: list[Line]) ->
             f"{min(clearances):g} to {max(clearances):g} mm per face."
         )
     cells = _cells(measured, comparison)
-    missed = [f"{cell.part} at {cell.clearance_mm:.2f} mm" for cell, block in cells if not block.rate > cell.larger]
+    missed = [f"{cell.part} at c = {cell.clearance_mm:.2f} mm" for cell, block in cells if not block.rate > cell.larger]
     if cells:
         yield (
-            f"On another plant and with other parts it inserts {_span([block.rate for _, block in cells])} "
-            f"(`{table.conditions}`), and its rate is above the paper's in {len(cells) - len(missed)} of {len(cells)} "
-            f"measured cells{f'; the others are {_listed(missed)}' if missed else ''}."
+            f"In the conditions `{table.conditions}`, with other parts and on another plant, it inserts "
+            f"{_span([block.rate for _, block in cells])}. There its rate is above the paper's in "
+            f"{len(cells) - len(missed)} of {len(cells)} measured cells of Table II."
         )
+    if missed:
+        yield f"It is below the paper's for {_listed(missed)}."
     verdicts = [line[-1].text for line in lines if isinstance(line[-1], Judged)]
     if verdicts:
         yield f"Of {len(verdicts)} measured targets {verdicts.count('met')} are met."

@@ -40,7 +40,7 @@ def table_1(measured: Measured, comparison: Comparison) -> Iterator[ReportBlock]
             ["steps", "2 M; 1 M at c = 4.0 and 1.0 mm", "see the last chapter"],
             ["network", "without memory", "with memory"],
             ["reward", "the paper's", "ours"],
-            ["kinds of input, lock", "the paper's", "the paper's, or as the row says"],
+            ["kinds of input, lock", "the paper's", "as the row says"],
             ["entries of the observation, compliance law, critic", "ours", "ours"],
         ],
     )

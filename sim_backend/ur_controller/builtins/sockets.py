@@ -1,131 +1,22 @@
-"""Script builtins that talk to other hosts: a program connects out, nothing here listens.
+"""Script builtins that talk to other hosts.
 
-Semantics are those of UR's script manual. Waiting is counted in ticks, so that a world that runs faster than the clock
-runs its timeouts faster too.
+Semantics are those of UR's script manual.
 """
 
-import contextlib
-import ipaddress
 import re
-import select
-import socket
 from collections.abc import Callable, Generator
 from typing import Any
 
 from sim_backend.ur_controller.script import Builtin, ScriptRuntimeError
 from sim_backend.ur_controller.script.values import Value, integer, is_number, number, text
+from sim_backend.ur_controller.sockets import Sockets
 from wire.records import TICK_S
 
-OPEN_TIMEOUT_S = 2.0
-MOST_SOCKETS = 16
-LARGEST_BUFFER = 65_536
-"""Bytes kept of what a peer sends and no program reads; more waits on the network."""
 MOST_NUMBERS = 30
 """Largest count that one read may ask for, as in the manual."""
 
 _DEFAULT_NAME = "socket_0"
 _NUMBERS = re.compile(rb"\(([^()]*)\)")
-_FRESH = 4096
-
-
-class Connection:
-    """One open connection with what has arrived on it."""
-
-    def __init__(self, peer: socket.socket) -> None:
-        self._peer = peer
-        self.buffer = bytearray()
-        self.is_open = True
-
-    def receive(self) -> None:
-        """Take what has arrived, as far as there is room for it."""
-        room = LARGEST_BUFFER - len(self.buffer)
-        if not self.is_open or room <= 0:
-            return
-        try:
-            data = self._peer.recv(min(room, _FRESH))
-        except (BlockingIOError, InterruptedError):
-            return
-        except OSError:
-            data = b""
-        if data:
-            self.buffer += data
-        else:
-            self.close()
-
-    def send(self, data: bytes) -> bool:
-        """Send all of it; a peer that does not take it loses the connection."""
-        try:
-            sent = self._peer.send(data) if self.is_open else 0
-        except OSError:
-            sent = 0
-        if sent == len(data):
-            return True
-        self.close()
-        return False
-
-    def take(self, count: int) -> bytes:
-        """The first `count` bytes of the buffer, which loses them."""
-        data = bytes(self.buffer[:count])
-        del self.buffer[:count]
-        return data
-
-    def close(self) -> None:
-        """Close; what has arrived can still be read."""
-        self.is_open = False
-        self._peer.close()
-
-
-class Sockets:
-    """The connections of a program, by the names that it gave them."""
-
-    def __init__(self) -> None:
-        self._connections: dict[str, Connection] = {}
-
-    def get(self, name: Value) -> Connection | None:
-        """The connection of that name, or None."""
-        return self._connections.get(text(name, "socket_name"))
-
-    def open(self, address: str, port: int, name: str) -> Generator[None, None, bool]:
-        """Connect, tick by tick; returns whether it succeeded. A connection of the same name is closed before."""
-        self.close(name)
-        host = "127.0.0.1" if address == "localhost" else address
-        try:
-            ipaddress.IPv4Address(host)  # resolving a name would hold up the tick
-        except ValueError:
-            return False
-        if not 0 < port < 65_536 or len(self._connections) >= MOST_SOCKETS:
-            return False
-        peer = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        kept = False
-        try:
-            peer.setblocking(False)
-            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            with contextlib.suppress(BlockingIOError):
-                peer.connect((host, port))
-            for _ in range(round(OPEN_TIMEOUT_S / TICK_S)):
-                yield  # a handshake takes time on every network, and peers count on the order of several
-                if select.select((), (peer,), (), 0.0)[1]:
-                    kept = peer.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) == 0
-                    break
-        except OSError:
-            kept = False
-        finally:
-            if not kept:
-                peer.close()
-        if kept:
-            self._connections[name] = Connection(peer)
-        return kept
-
-    def close(self, name: str) -> None:
-        """Close the connection of that name, if there is one."""
-        connection = self._connections.pop(name, None)
-        if connection is not None:
-            connection.close()
-
-    def close_all(self) -> None:
-        """Close all of them: their program has ended."""
-        for name in [*self._connections]:
-            self.close(name)
 
 
 def socket_builtins(sockets: Sockets) -> dict[str, Builtin]:
@@ -135,7 +26,7 @@ def socket_builtins(sockets: Sockets) -> dict[str, Builtin]:
         name: Value, timeout: Value, whole: Callable[[bytearray], int | None]
     ) -> Generator[None, None, bytes | None]:
         """Wait until `whole` says how many bytes of the buffer make one message; None when the time is over."""
-        connection = sockets.get(name)
+        connection = sockets.get(text(name, "socket_name"))
         ticks = number(timeout, "timeout") / TICK_S
         waited = 0
         while connection is not None:
@@ -150,7 +41,7 @@ def socket_builtins(sockets: Sockets) -> dict[str, Builtin]:
         return None
 
     def send(name: Value, data: bytes) -> bool:
-        connection = sockets.get(name)
+        connection = sockets.get(text(name, "socket_name"))
         return connection is not None and connection.send(data)
 
     def count_of(value: Value) -> int:
