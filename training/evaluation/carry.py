@@ -26,12 +26,12 @@ from training.evaluation.results import Block, Carried, Replay, Results, exclusi
 SCRIPT = Path(__file__).with_name("replay.py")
 COMPARED = {
     "environment": "every step, bit for bit",
-    "zenoh": "result and true depth, exactly",
+    "zenoh": "result, exactly",
     "rtde": "success, in real time",
 }
 """What is compared of an episode, by what played it; an episode in real time never repeats bit for bit."""
-LAST_DECIMAL = 1.5e-3
-"""Difference by which a float played and rounded may be off the float on file, which has three decimals."""
+ROUNDING = 0.500001e-3
+"""Largest difference between a float and its value on file, which has three decimals."""
 STOP_S = 10.0
 
 
@@ -324,12 +324,13 @@ def _differing(one: dict[str, Any], other: dict[str, Any]) -> str:
 def _unlike(played: dict[str, Any], on_file: dict[str, Any]) -> str:
     """Say where a result differs from the one on file; empty: nowhere.
 
-    A float may differ by one in the last decimal that files keep: a policy rounds otherwise in a batch of another size.
+    A float agrees if it can be rounded to the value on file either way: a policy rounds otherwise in batches of
+    another size.
     """
     near = {
         name: value
         for name, value in on_file.items()
-        if isinstance(value, float) and abs(played[name] - value) <= LAST_DECIMAL
+        if isinstance(value, float) and abs(played[name] - value) <= ROUNDING
     }
     return _differing(*({name: rounded(value) for name, value in row.items()} for row in (played | near, on_file)))
 

@@ -108,7 +108,7 @@ class Run:
 
     @property
     def began_with(self) -> dict[str, Any] | None:
-        """Return `beginning` of the weights that the training began with; None: it began with none, or none are noted."""
+        """Return `beginning` of the weights that the training began with; None: none, or none are noted."""
         return json.loads(self._document.read_text())["sessions"][0].get("began_with")
 
     def _described(self) -> dict[str, Any]:
