@@ -31,7 +31,8 @@ def carry(
     """Show that REVISION and the present sources play the same, bit for bit, and carry the results over.
 
     The first seeds of every block are played in both trees, each by a process with that tree's own code. If one step of
-    one episode differs, or an episode differs from the one on file, no file is changed.
+    one episode differs, no file is changed. Episodes are also compared with those on file. They must be equal if 25
+    are played at once, as in `evaluate`, with machine and versions as measured; otherwise the equal ones are counted.
     """
     folders = results or [RESULTS, RESULTS / "fresh-seeds"]
     paths = [path for folder in folders for path in (sorted(folder.glob("*.json")) if folder.is_dir() else [folder])]
@@ -64,4 +65,6 @@ def carry(
         if played:
             count, agreed = sum(r.episodes for r in played), sum(r.agreed for r in played)
             typer.echo(f"{through}: {agreed} of {count} episodes of {len(played)} blocks agree ({compared})")
+            own = [(r.episodes, r.as_on_file) for r in played if r.as_on_file is not None]
+            typer.echo(f"{through}: {sum(like for _, like in own)} of {sum(n for n, _ in own)} are as on file")
     typer.echo(f"carried {len(paths)} files from {earlier.sources[:12]} to {present.sources[:12]}")

@@ -27,7 +27,7 @@ MODULES = {
     "contract": ("service.policy.contract",),
     "model": ("service.policy.model",),
 }
-"""Modules by role; of each the names in the trees that this script knows, the newest first."""
+"""Names of each module in the trees that this script knows, by role, the newest first."""
 PROJECT = ("wire", "service", "sim_backend", "training")
 OUTCOME = (
     *("observation", "reward", "terminated", "truncated", "success", "fault"),
@@ -58,7 +58,7 @@ class Recorder:
         self._ticks = [hashlib.blake2b(digest_size=DIGEST_BYTES) for _ in range(insertions.n)]
 
     def play(self, run: Callable[[], Any]) -> Any:
-        """Call `run` and record what the cells do meanwhile."""
+        """Call `run` and record the cells meanwhile."""
         cells, world = self._insertions, self._insertions.world
         step, tick, reset = cells.step, world.tick, cells.reset
 
@@ -118,8 +118,8 @@ def sources() -> dict[str, Any]:
 def play_environment(request: dict[str, Any]) -> dict[str, Any]:
     """Play seeds of one setting in the batched environment.
 
-    The request holds `model`, `setting`, `seeds`, `cells` and `stand_in`: what is put in place of the policy's own
-    contract where the policy is not the one that was measured; none: the policy is.
+    The request holds `model`, `setting`, `seeds` and `stand_in`: changes to the contract of a policy that stands in for
+    the measured one; None: the measured policy plays.
     """
     setting = request["setting"]
     policy = _policy(request["model"])
@@ -171,9 +171,9 @@ def _insertions(model: str, changes: str, setting: str, cells: int) -> Any:
     document: dict[str, Any] = contract.model_dump(mode="json")
     document["dsl"] |= {"mode": wanted["lock"], **changed.pop("dsl", {})}
     document["compliance"] |= changed.pop("compliance", {})
-    contract = type(contract).model_validate(document | changed)
+    changed_contract: Any = type(contract).model_validate(document | changed)
     ceiling, reward = wanted["force_ceiling_n"], wanted["reward"]
-    return module("insertion").Insertions(contract, cells, wanted["part"], 1, ceiling, reward)
+    return module("insertion").Insertions(changed_contract, cells, wanted["part"], 1, ceiling, reward)
 
 
 def _digest(value: Any) -> str:
@@ -181,7 +181,7 @@ def _digest(value: Any) -> str:
 
 
 def answer(line: str) -> dict[str, Any]:
-    """Do what one line of input asks for.
+    """Serve one request.
 
     Raises:
         ReplayError: code of another tree was loaded.

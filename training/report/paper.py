@@ -1,6 +1,6 @@
-"""What is compared with the paper: its tables, the levels of our own, and which results and runs stand in each row.
+"""The comparison with the paper: its tables, our own levels, and the results and runs of each row.
 
-The figures themselves are in `paper.toml`; this is their shape.
+`paper.toml` holds the figures. This module holds their types.
 """
 
 import tomllib
@@ -20,7 +20,7 @@ Millimetres = Annotated[float, Field(gt=0)]
 
 
 class TablePlan(StrEnum):
-    """What one table needs of a policy."""
+    """Cells that one table needs of a policy."""
 
     STRENGTH = "strength"
     TABLE_1 = "table-1"
@@ -51,11 +51,11 @@ class Table1Row(PaperSection):
     """A row of Table I.
 
     Attributes:
-        name: the paper's.
+        name: the paper's name.
         reproduced: name of our runs of it, one policy per clearance, without the clearance.
         ours: name of our one policy for every clearance.
-        printed: per gap, as far as the paper has it.
-        note: what the reader must know of the printed figures.
+        printed: the paper's figures per gap, as far as it has them.
+        note: remark on the printed figures.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Table1Row(PaperSection):
     note: str = ""
 
     def reproduction(self, clearance_mm: float) -> str:
-        """Name of the experiment that reproduces this row at a clearance."""
+        """Return the name of the experiment that reproduces this row at a clearance."""
         return f"{self.reproduced}-c{round(clearance_mm * 100):03d}"
 
 
@@ -84,7 +84,7 @@ class TransferCell(PaperSection):
         printed: success in the table.
         text: success in the running text, where it differs.
         count: successes and tests that give a printed figure.
-        note: on the contradiction.
+        note: remark on the contradiction.
     """
 
     part: Part
@@ -97,7 +97,7 @@ class TransferCell(PaperSection):
 
     @property
     def larger(self) -> float:
-        """The larger of what table and text say: what has to be beaten."""
+        """Larger figure of table and text, which has to be beaten."""
         return self.printed if self.text is None else max(self.printed, self.text)
 
 
@@ -105,11 +105,11 @@ class Table2(PaperSection):
     """Table II.
 
     Attributes:
-        results: name of our policy that was trained on the triangle alone, as the paper's.
-        beside: names of others.
-        conditions: of the transfer.
-        usual: conditions that the other parts than the triangle are also played in: shape apart from plant.
-        cells: in the paper's order.
+        results: name of our policy that was trained on the triangle alone, like the paper's.
+        beside: names of other policies.
+        conditions: conditions of the transfer.
+        usual: conditions in which the parts other than the triangle are also played, to tell shape from plant.
+        cells: cells in the paper's order.
     """
 
     results: str
@@ -120,12 +120,12 @@ class Table2(PaperSection):
 
     @property
     def usual_cells(self) -> tuple[TransferCell, ...]:
-        """What is also played in the usual conditions: not the triangle, which `Strength` has at every level."""
+        """Cells that are also played in the usual conditions: all but the triangle, which `Strength` covers."""
         return tuple(cell for cell in self.cells if cell.part != "tr")
 
 
 class ClearanceLevel(PaperSection):
-    """A clearance with our target of success, and the paper's success where it has one."""
+    """A clearance with our target of success, and the paper's success if it has one."""
 
     clearance_mm: Millimetres
     target: Share
@@ -143,11 +143,11 @@ class Strength(PaperSection):
 
     Attributes:
         results: name of the policy that they are set for.
-        beside: names of others.
-        hardened: conditions that the policy is measured in beside its standard ones.
-        ftm: what the policy without a camera is to reach.
-        peak_force_p99_n: largest 99th percentile of the peak force wanted.
-        levels: in falling order of clearance.
+        beside: names of other policies.
+        hardened: harder conditions in which the policy is also measured.
+        ftm: target of the policy without a camera.
+        peak_force_p99_n: limit for the 99th percentile of the peak force.
+        levels: levels in falling order of clearance.
     """
 
     results: str
@@ -167,7 +167,7 @@ class Locked(PaperSection):
 
 
 class Force(PaperSection):
-    """What is compared in force; every row with the first."""
+    """Comparison of forces: every row with the first."""
 
     rows: tuple[Locked, ...]
     clearance_mm: tuple[Millimetres, ...]
@@ -182,10 +182,10 @@ class Curves(PaperSection):
     """A figure of learning curves.
 
     Attributes:
-        title: above it.
-        name: of its file.
-        by_clearance: one curve per clearance of its evaluations; else a run has one, of all of them.
-        runs: their seeds are shown thin, the mean of them thick.
+        title: title above it.
+        name: name of its file.
+        by_clearance: draw one curve per clearance of the evaluations; else one curve per run, over all of them.
+        runs: runs; each seed is drawn thin, their mean thick.
     """
 
     title: str
@@ -195,7 +195,7 @@ class Curves(PaperSection):
 
 
 class Comparison(PaperSection):
-    """All of `paper.toml`."""
+    """Contents of `paper.toml`."""
 
     table_1: Table1
     table_2: Table2
@@ -211,17 +211,17 @@ def comparison() -> Comparison:
 
 
 def metres(millimetres: float) -> float:
-    """A clearance in m, the same number wherever it comes from."""
+    """Return a clearance in m, rounded so that it is the same number wherever it comes from."""
     return round(millimetres * 1e-3, 9)
 
 
 def conditions_for(mode: Mode) -> Conditions:
-    """The standard conditions of a mode: FTM, which knows the nominal centre only, has a search domain about it."""
+    """Return the standard conditions of a mode; FTM, which knows only the nominal centre, has a search domain."""
     return "search" if mode == "FTM" else "standard"
 
 
 def cells_of(plan: TablePlan, mode: Mode) -> list[tuple[Part, float, Conditions]]:
-    """What a plan measures of a policy: part, clearance per face in m, conditions."""
+    """Return the cells of a plan: part, clearance per face in m, conditions."""
     everything = comparison()
     if plan is TablePlan.TABLE_2:
         table = everything.table_2
@@ -234,7 +234,7 @@ def cells_of(plan: TablePlan, mode: Mode) -> list[tuple[Part, float, Conditions]
 
 
 def reported(name: str, mode: Mode) -> list[tuple[Part, float, Conditions, dsl.Mode | None]]:
-    """What all tables together say of the policy of this name: as `cells_of`, and the lock, None for its own."""
+    """Return the cells of all tables for the policy of this name: as `cells_of`, and the lock, None for its own."""
     everything = comparison()
     strength, transfer = everything.strength, everything.table_2
     rows = everything.table_1.rows

@@ -98,7 +98,8 @@ def _carried(measured: Measured) -> Iterator[ReportBlock]:
     yield Paragraph(
         "The sources changed after these measurements, and the changes alter no episode. For each change, episodes of "
         "every block were played with the earlier and with the later sources and compared. Where the measured policy "
-        "does not ship, another one stood in for it."
+        "does not ship, another one stood in for it. An episode on file may differ in its figures where it was played "
+        "on another processor or in another batch, which rounds otherwise."
     )
     yield Table(
         ["results", "carried", "sources", "through", "played by", "compared", "agree", "as on file"],
@@ -120,7 +121,7 @@ def _replays(name: str, carried: Carried) -> Iterator[list[str]]:
             f"`{replay.policy}`",
             replay.compared,
             f"{replay.agreed} of {replay.episodes} episodes of {replay.blocks} blocks",
-            "yes" if replay.as_on_file else "not compared",
+            "–" if replay.as_on_file is None else f"{replay.as_on_file} of {replay.episodes}",
         ]
 
 

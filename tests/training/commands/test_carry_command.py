@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from training.__main__ import app
 from training.evaluation import evaluate as evaluation
 from training.evaluation import provenance, through_service
 from training.evaluation.baseline import scripted_search
-from training.evaluation.results import Block, Results, Setting, Through
+from training.evaluation.results import Block, Results, Session, Setting, Through
 
 SENSOR = "sim_backend/world/sensor.py"
 pytestmark = pytest.mark.timeout(300)
@@ -118,7 +119,7 @@ def test_results_are_carried_over_a_renamed_variable(repository: Path) -> None:
     assert carried.to_commit == git(repository, "rev-parse", "HEAD").strip()
     (replay,) = carried.replays
     assert (replay.policy, replay.blocks, replay.episodes, replay.agreed) == ("search", 1, 2, 2)
-    assert replay.as_on_file
+    assert replay.as_on_file == 2
     assert "environment: 2 of 2 episodes of 1 blocks agree" in said
     assert git(repository, "worktree", "list").count("\n") == 1
 
@@ -138,15 +139,33 @@ def test_results_that_are_not_of_the_revision_are_refused(repository: Path) -> N
     assert "is not of the sources of" in refused(path)
 
 
-def test_episodes_that_no_tree_plays_as_they_are_on_file_are_refused(repository: Path) -> None:
+@pytest.mark.parametrize("machine", ["this one", "another one"])
+def test_episodes_that_differ_from_the_file_are_refused_only_on_the_machine_that_measured_them(
+    repository: Path, machine: str
+) -> None:
     path = measured(repository)
     results = Results.load(path)
     (block,) = results.blocks
     first, *others = block.episodes
-    wrong = type(first)(**{name: getattr(first, name) for name in first.__slots__} | {"steps": first.steps + 1})
-    results.with_block(block.model_copy(update={"episodes": (wrong, *others)})).save(path)
+    session = Session(
+        ended="2026-01-01",
+        commit=None,
+        machine=provenance.machine() if machine == "this one" else machine,
+        versions=provenance.versions(),
+        workers=1,
+        episodes=2,
+        wall_s=1.0,
+    )
+    wrong = (replace(first, steps=first.steps + 1), *others)
+    results.with_block(block.model_copy(update={"episodes": wrong, "sessions": (session,)})).save(path)
     rename_a_variable(repository)
-    assert f"not with the file: steps {first.steps} and {first.steps + 1}" in refused(path)
+    if machine == "this one":
+        said = refused(path, "--episodes", "2")
+        assert f"not with the file: steps {first.steps} and {first.steps + 1}" in said
+    else:
+        carry(0, "--episodes", "2")
+        (replay,) = Results.load(path).carried[0].replays
+        assert (replay.agreed, replay.as_on_file) == (2, 1)
 
 
 def test_another_policy_stands_in_for_one_that_is_not_at_hand(repository: Path) -> None:
@@ -154,7 +173,7 @@ def test_another_policy_stands_in_for_one_that_is_not_at_hand(repository: Path) 
     rename_a_variable(repository)
     carry(0, "--episodes", "1")
     (replay,) = Results.load(path).carried[0].replays
-    assert (replay.policy, replay.episodes, replay.agreed, replay.as_on_file) == ("search", 1, 1, False)
+    assert (replay.policy, replay.episodes, replay.agreed, replay.as_on_file) == ("search", 1, 1, None)
     (repository / "models/search.onnx").unlink()
     change(repository, SENSOR, r"\b_place\b", "_row")
     assert "no policy at hand observes VFTM" in refused(path)
