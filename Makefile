@@ -12,10 +12,14 @@ ONCE ?=
 SEED ?=
 MODEL ?= models/vftm-dsl.onnx
 EXPERIMENT ?= vftm-dsl-fast
+EXTRAS := dev,training
+PACKAGES := wire service sim_backend api training benchmarks
+PINS ?= constraints.txt
 BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.installed-runtime
 TRAINING := $(VENV)/.installed-training
 DEV := $(VENV)/.installed-dev
+DOCS := $(VENV)/.installed-docs
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: help
@@ -44,13 +48,30 @@ $(TRAINING): pyproject.toml constraints.txt | $(BIN)/python
 
 $(DEV): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing what training, tests and linters need (torch among it)"
-	@$(PIP) --editable '.[dev,training]'
+	@$(PIP) --editable '.[$(EXTRAS)]'
 	@touch $@ $(RUNTIME) $(TRAINING)
+
+$(DOCS): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "installing what the documentation site needs"
+	@$(PIP) --editable '.[docs]'
+	@touch $@ $(RUNTIME)
 
 .PHONY: setup setup-training setup-dev
 setup: $(RUNTIME) ## prepare .venv for the cell
 setup-training: $(TRAINING) ## prepare .venv for training as well
 setup-dev: $(DEV) ## prepare .venv for everything
+
+# What this machine's pip takes, in a fresh environment, from the ranges of pyproject.toml. A build's own suffix
+# (torch's +cpu) is no part of a pin, and neither is an address: a line with one ends the recipe.
+.PHONY: constraints
+constraints: ## renew the pins (PINS=constraints.txt)
+	@fresh=$$(mktemp -d); trap 'rm -rf "$$fresh"' EXIT; \
+	$(PYTHON) -m venv "$$fresh/venv"; \
+	"$$fresh/venv/bin/python" -m pip install --quiet --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'; \
+	{ grep '^#' constraints.txt; \
+	  "$$fresh/venv/bin/python" -m pip freeze --exclude-editable | sed -E 's/\+[A-Za-z0-9.]+$$//'; } > "$$fresh/pins"; \
+	if grep -nE ' @ |://' "$$fresh/pins"; then echo "make: these lines are no pins; nothing was written" >&2; exit 1; fi; \
+	cp "$$fresh/pins" $(PINS)
 
 # --- the cell -------------------------------------------------------------------------------------------------------
 
@@ -60,16 +81,23 @@ run: $(RUNTIME) ## start the simulated cell and insert one peg (ONCE=1: then exi
 
 # --- checks ---------------------------------------------------------------------------------------------------------
 
-.PHONY: test test-slow coverage lint format docs-check
+.PHONY: test test-covered test-slow coverage lint format docs-check
 test: $(DEV) ## the tests (minutes)
 	$(BIN)/python -m pytest -m 'not slow' $(ARGS)
+
+test-covered: $(DEV) ## the same tests under coverage, then a line per package (takes half as long again)
+	$(BIN)/python -m coverage run --source "$$(tr ' ' , <<< '$(PACKAGES)')" -m pytest -m 'not slow' --timeout 300 $(ARGS)
+	@echo "branch coverage; what the tests run in other processes is not counted"
+	@total() { $(BIN)/python -m coverage report --format total --precision 1 "$$@"; }; \
+	for package in $(PACKAGES); do printf '  %-12s %5s %%\n' "$$package" "$$(total --include "$$package/*")"; done; \
+	printf '  %-12s %5s %%\n' together "$$(total)"
 
 test-slow: $(DEV) ## the tests marked slow
 	$(BIN)/python -m pytest -m slow --timeout 1800 $(ARGS)
 
 coverage: $(DEV) ## every branch of the safety core is exercised by its own tests
-	$(BIN)/python -m coverage run -m pytest -q tests/service/safety
-	$(BIN)/python -m coverage report
+	$(BIN)/python -m coverage run --source service.safety --data-file .coverage-safety -m pytest -q tests/service/safety
+	$(BIN)/python -m coverage report --data-file .coverage-safety --fail-under 100
 
 lint: $(DEV) ## ruff, import directions, pyright
 	$(BIN)/ruff check .
@@ -81,8 +109,18 @@ format: $(DEV) ## let ruff put the layout right
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-docs-check: $(DEV) ## links between documents, and the documents that must exist
+docs-check: $(DEV) ## links between documents, the documents that must exist, their examples and commands
 	$(BIN)/python -m pytest -q tests/test_architecture.py -k document
+	$(BIN)/python -m pytest -q tests/docs
+
+# --- documentation --------------------------------------------------------------------------------------------------
+
+.PHONY: docs docs-serve
+docs: $(DOCS) ## build the documentation site into site/; a broken link is an error
+	$(BIN)/mkdocs build --clean
+
+docs-serve: docs ## look at the site on http://127.0.0.1:8001 until Ctrl-C
+	$(BIN)/python -m http.server 8001 --bind 127.0.0.1 --directory site
 
 # --- training and measurements --------------------------------------------------------------------------------------
 

@@ -22,17 +22,17 @@ from api.processes import JOIN_S, CellProcesses
 from api.protection import Protection, is_loopback
 from api.routes import commands, page, runs, state, streams
 from api.runtime import Runtime
+from api.version import VERSION
 from service.client import CellClient
 from service.config import CellConfig
 from service.messages import Event
 
-VERSION = "1.0.0"
 DESCRIPTION = """\
 Commands and watches one assembly cell.
 
 This is process protection. It is not the robot's emergency stop and replaces none of its certified safety functions.
 
-Units are SI; frames and signs are those of `docs/architecture.md`. Every error is an RFC 9457 problem
+Units are SI; frames and signs are those of `docs/reference/frames.md`. Every error is an RFC 9457 problem
 (`application/problem+json`). There is no authorisation yet: the server accepts requests from this machine only.
 """
 TAGS = [

@@ -1,8 +1,11 @@
 """An asynchronous client of one cell's control process, over Zenoh.
 
->>> async with CellClient("cell-1", connect=["tcp/127.0.0.1:7447"]) as cell:  # doctest: +SKIP
-...     run = await cell.start(StartRequest(recipe="triangle-2mm", seed=7))
-...     await cell.stop(StopRequest(reason="enough"))
+Examples:
+    Start a run and stop it. This one is not run as a test: it needs a running cell.
+
+    >>> async with CellClient("cell-1", connect=["tcp/127.0.0.1:7447"]) as cell:  # doctest: +SKIP
+    ...     run = await cell.start(StartRequest(recipe="triangle-2mm", seed=7))
+    ...     await cell.stop(StopRequest(reason="enough"))
 """
 
 import asyncio

@@ -15,6 +15,9 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from service.messages import NAME_PATTERN
 from wire.limits import (
     FORCE_HARD_MAXIMUM_N,
+    MAX_SPEED,
+    MAX_STEP,
+    TARGET_AGE_S,
     TILT_RAD,
     TORQUE_CEILING_NM,
     TORQUE_HARD_MAXIMUM_NM,
@@ -88,8 +91,7 @@ class LimitsSection(Section):
         max_damping: a policy that wants more is refused: the arm would hardly yield.
         min_inertia: kg and kg·m², as for `min_damping`.
         max_inertia: a policy that wants more is refused: an impact would be hard.
-        max_press_m: how far a policy's lock may press below the height of a contact; in `peck` also how much deeper the
-            next press may go.
+        max_press_m: how far a policy's lock may press below the height of a contact.
         max_contact_share: of the force ceiling, and of the torque ceiling, that `dsl.contact_threshold` of a policy's
             clips may be: a lock must feel a contact long before the cell stops for it.
         max_seek_step_m: increment downwards of a policy's lock while it seeks.
@@ -109,11 +111,11 @@ class LimitsSection(Section):
     torque_ceiling_nm: Torque = TORQUE_CEILING_NM
     sample_age_s: Annotated[float, Field(ge=0.006, le=0.5, allow_inf_nan=False)] = 0.05
     stuck_samples: Annotated[int, Field(ge=2, le=500)] = 10
-    target_age_s: Annotated[float, Field(ge=0.02, le=1.0, allow_inf_nan=False)] = 0.3
-    max_step_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 0.012
-    max_turn_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = 0.30
-    max_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = 0.1
-    max_turn_speed_rad_s: Annotated[float, Field(gt=0.0, le=3.0, allow_inf_nan=False)] = 3.0
+    target_age_s: Annotated[float, Field(ge=0.02, le=1.0, allow_inf_nan=False)] = TARGET_AGE_S
+    max_step_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = MAX_STEP[0]
+    max_turn_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = MAX_STEP[1]
+    max_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = MAX_SPEED[0]
+    max_turn_speed_rad_s: Annotated[float, Field(gt=0.0, le=3.0, allow_inf_nan=False)] = MAX_SPEED[1]
     max_tilt_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = TILT_RAD
     max_stiffness: SixPositive = (3000.0, 3000.0, 3000.0, 100.0, 100.0, 100.0)
     min_damping: SixPositive = (60.0, 60.0, 60.0, 0.1, 0.1, 0.1)
@@ -199,7 +201,7 @@ class RecipeSection(Section):
     success_depth_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 3.0e-3
     retract: bool = True
     conditions: Literal["standard", "easy", "search", "stiff", "transfer"] = "standard"
-    allow_lock: Annotated[tuple[LockMode, ...], Field(min_length=1)] = ("paper", "peck")
+    allow_lock: Annotated[tuple[LockMode, ...], Field(min_length=1)] = ("paper",)
 
 
 class SimSection(Section):
@@ -219,7 +221,7 @@ class SimSection(Section):
 
 
 class UrSection(Section):
-    """A Universal Robots e-Series controller; `docs/ur.md` says how each number is found.
+    """A Universal Robots e-Series controller; `docs/how-to/commission-a-ur.md` says how each number is found.
 
     Attributes:
         host: address of the controller.

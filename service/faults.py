@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class FaultCode(StrEnum):
-    """Codes are stable: they stand in run records, API answers and `docs/faults.md`."""
+    """Codes are stable: they stand in run records, API answers and `docs/reference/faults.md`."""
 
     FORCE_CEILING = "FORCE_CEILING"
     SENSOR_INVALID = "SENSOR_INVALID"

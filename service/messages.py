@@ -13,7 +13,7 @@
 | `telemetry` | publication, about 50 Hz | | `Telemetry` |
 | `client` | subscription: a client is there, every `CLIENT_HEARTBEAT_S` | | anything |
 
-Frames, units and signs are those of `docs/architecture.md`; times of day are seconds since the Unix epoch.
+Frames, units and signs are those of `docs/reference/frames.md`; times of day are seconds since the Unix epoch.
 """
 
 from enum import StrEnum

@@ -25,7 +25,7 @@ from sim_backend.ur_controller.stage import Stage
 from sim_backend.world import appearance, rendering
 from sim_backend.world.world import World
 from sim_backend.zenoh_cell.cell import SimulatedCell
-from sim_backend.zenoh_cell.server import Mode, Server
+from sim_backend.zenoh_cell.server import Pace, Server
 from wire.endpoints import (
     DEFAULT_ENDPOINT,
     DEFAULT_WORLD,
@@ -50,8 +50,8 @@ _PARTS = ", ".join(get_args(Part))
 @app.command()
 def serve(
     world: Annotated[str, typer.Option(help="Name of the world in its Zenoh keys, sim/<world>/….")] = DEFAULT_WORLD,
-    mode: Annotated[Mode, typer.Option(help="Who lets simulated time pass: the wall clock, or the client.")] = (
-        Mode.REAL_TIME
+    mode: Annotated[Pace, typer.Option(help="Who lets simulated time pass: the wall clock, or the client.")] = (
+        Pace.REAL_TIME
     ),
     listen: Annotated[
         list[str] | None, typer.Option(help=f"Endpoint to listen at, {DEFAULT_ENDPOINT} unless given; may be repeated.")
@@ -67,7 +67,7 @@ def serve(
     try:
         task = Task.from_json({"seed": seed, "part": part})
         # before Zenoh starts its threads: one of ordinary priority that the loop waits for would hold the loop up
-        refused = request_realtime() if mode is Mode.REAL_TIME else ()
+        refused = request_realtime() if mode is Pace.REAL_TIME else ()
         session = _open_session(endpoints, connect or [], allow_remote=allow_remote)
     except ValueError as error:
         _fail(str(error), EXIT_USAGE)

@@ -3,7 +3,7 @@
 Packed records: `STATE`, one per 2 ms tick from the cell, `COMMAND`, from a client, and `CAMERA`, from a cell whose arm
 speaks another protocol. Every record starts with the same eight bytes (magic, version, kind), so a reader refuses what
 it cannot read before it reads on.
-Changing a layout means raising `VERSION`. Frames, units and signs are those of `docs/architecture.md`.
+Changing a layout means raising `VERSION`. Frames, units and signs are those of `docs/reference/frames.md`.
 """
 
 from enum import IntEnum

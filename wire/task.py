@@ -18,7 +18,7 @@ class Task:
         seed: same seed, same world, bit for bit.
         part: peg and hole.
         clearance_m: distance between peg and wall when centred, per face, m.
-        conditions: which distributions to draw from; `docs/conditions.md`.
+        conditions: which distributions to draw from; `docs/reference/conditions.md`.
         randomise_plant: draw friction, stiffness, delay, mass, contact (training); otherwise nominal values (test).
             Not with `stiff` and `transfer`, whose plant is given.
         sensor_delay_ticks: from force to sample, 1–4 ticks of 2 ms; None: drawn from the seed.

@@ -1,6 +1,7 @@
 """How stable the force loop is: press on the block at the shortest and the longest sensor delay, with damping scaled.
 
-Not a timing: `python -m benchmarks.cases.contact_loop` prints the figures of `docs/decisions/0004-admittance.md`.
+`python -m benchmarks.cases.contact_loop` prints the figures of `docs/explanation/decisions/0004-admittance.md`. It
+measures no time.
 """
 
 import itertools
@@ -9,10 +10,11 @@ import numpy as np
 
 from service.safety.pose import rotvec_from_yaw
 from sim_backend.world import quaternion
-from sim_backend.world.arm import Limits
 from sim_backend.world.conditions import FORCE_NOISE_N, draw
 from sim_backend.world.world import World
 from training.environment.design import LAW, LOCK
+from wire.law import ControlLimits
+from wire.limits import WORKSPACE_M
 from wire.records import TICK_S
 from wire.task import Task
 
@@ -33,7 +35,7 @@ def press(damping_scale: float, delay_ticks: int) -> tuple[float, float]:
     world.place(cells, world.hole_position + BESIDE_HOLE_M, world.hole_yaw.copy())
     world.zero_ft(cells)
     damping = damping_scale * np.array(LAW.damping)
-    world.engage(cells, np.array(LAW.stiffness), damping, np.array(LAW.inertia), Limits(force_ceiling_n=1e3))
+    world.engage(cells, np.array(LAW.stiffness), damping, np.array(LAW.inertia), ControlLimits(WORKSPACE_M, 1e3))
     turn = quaternion.from_rotvec(rotvec_from_yaw(world.hole_yaw))
     wrenches: list[np.ndarray] = []
     for _ in range(STEPS):

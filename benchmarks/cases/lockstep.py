@@ -8,11 +8,12 @@ import numpy as np
 from benchmarks.harness.exchange import answer, until_answered
 from benchmarks.harness.processes import free_port, running
 from benchmarks.harness.result import Result, median
-from service.drivers.base import ComplianceLaw, Limits, PoseTarget
+from service.drivers.base import PoseTarget
 from service.drivers.sim_wire import CommandWriter
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire import keys
 from wire import records as wire
+from wire.law import ComplianceLaw, ControlLimits
 from wire.records import TICK_S
 from wire.session import close_session, open_session
 from wire.task import Task
@@ -20,15 +21,15 @@ from wire.task import Task
 WORLD = "bench"
 POLICY_TICKS = 40
 LAW = ComplianceLaw(
-    stiffness=np.array([1000.0] * 3 + [10.0] * 3),
-    damping=np.array([200.0] * 3 + [2.0] * 3),
-    inertia=np.array([5.0] * 3 + [0.05] * 3),
-    max_speed=np.array([0.1, 0.5]),
+    stiffness=(1000.0, 1000.0, 1000.0, 10.0, 10.0, 10.0),
+    damping=(200.0, 200.0, 200.0, 2.0, 2.0, 2.0),
+    inertia=(5.0, 5.0, 5.0, 0.05, 0.05, 0.05),
 )
-LIMITS = Limits(
-    max_step=np.array([0.01, 0.2]),
-    workspace=np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]),
+LIMITS = ControlLimits(
+    workspace=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
     force_ceiling_n=30.0,
+    max_speed=(0.1, 0.5),
+    max_step=(0.01, 0.2),
     target_age_s=1.0,
 )
 

@@ -34,7 +34,7 @@ def save(folder: Path, conditions: Mapping[str, str], results: Mapping[str, Resu
 
 
 def _markdown(conditions: Mapping[str, str], results: Mapping[str, Result]) -> str:
-    lines = ["# Benchmarks, latest run", "", "How to read this: [docs/benchmarks.md](../../docs/benchmarks.md).", ""]
+    lines = ["# Benchmarks, latest run", "", "Guide: [benchmarks.md](../../docs/reference/benchmarks.md).", ""]
     lines += [*_table(("condition", "value"), tuple(conditions.items())), ""]
     for name, result in results.items():
         lines += [f"## {name}", "", result.question, ""]

@@ -80,7 +80,7 @@ class PressedArm:
         self._write(Command.ZERO_FT)
         self._tick(_ECHO_TICKS)
         law, limits = plan.law, plan.limits
-        parts = law.stiffness, law.damping, law.inertia, law.max_speed, limits.max_step
+        parts = law.stiffness, law.damping, law.inertia, limits.max_speed, limits.max_step
         numbers = [float(number) for part in parts for number in part]
         self._write(Command.ENGAGE, [*numbers, ceiling_n, limits.target_age_s])
         self._tick(_ECHO_TICKS)

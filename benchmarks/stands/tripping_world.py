@@ -10,7 +10,7 @@ import time
 import zenoh
 
 from sim_backend.zenoh_cell.cell import SimulatedCell
-from sim_backend.zenoh_cell.server import Mode, Server
+from sim_backend.zenoh_cell.server import Pace, Server
 from wire import keys
 from wire import records as wire
 from wire.arrays import RecordArray
@@ -60,7 +60,7 @@ def main(endpoint: str, world: str) -> None:
         refused = request_realtime()
         session.declare_subscriber(keys.COMMAND.format(world=world), cell.on_command)
         session.declare_queryable(TRIP, cell.trip)
-        server = Server(cell, session, world, Mode.REAL_TIME, refused)
+        server = Server(cell, session, world, Pace.REAL_TIME, refused)
         print("ready", flush=True)
         server.run()
     finally:

@@ -16,7 +16,7 @@ from benchmarks.harness.processes import READY
 from benchmarks.stands.rtde_readers import WARM_UP_S
 from benchmarks.stands.ur_cell import plan_first
 from service.config import load
-from service.drivers.base import PoseTarget, Sample, Setup
+from service.drivers.base import PoseTarget, Sample
 from service.drivers.ur.driver import UrDriver
 from service.drivers.ur.samples import OUTPUTS
 from service.faults import FaultCode
@@ -83,7 +83,7 @@ async def driver() -> None:
     newest = _Newest()
     arm = UrDriver(config)
     await arm.connect(newest)
-    await arm.prepare(Setup(None, "tr", 2e-3, "easy"))
+    await arm.prepare(None)
     arm.zero_ft()
     await asyncio.sleep(WARM_UP_S)
     arm.engage(plan.law, plan.limits)

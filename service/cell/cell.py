@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import structlog
 
@@ -22,8 +23,8 @@ from service.cell.records import Fail, TickRecord
 from service.cell.run import ActiveRun
 from service.cell.runs import Runs, ended_by
 from service.cell.states import WITH_RUN, StateMachine
-from service.config import CellConfig
-from service.drivers.base import Driver, DriverError, Program, Sample, Setup
+from service.config import CellConfig, RecipeSection
+from service.drivers.base import Driver, DriverError, Program, Sample
 from service.faults import FaultCode
 from service.messages import (
     CellState,
@@ -42,6 +43,7 @@ from service.messages import (
 )
 from service.policy.model import Policy
 from service.safety.stop import StopConfirmation, StopParameters, StopState
+from wire.task import Part, Task
 
 LINK_FAULTS = frozenset({FaultCode.STALE, FaultCode.LINK, FaultCode.SOURCE, FaultCode.PROTOCOL})
 """Faults of the way to the arm: while nothing runs they mean OFFLINE and another attempt, not a latch."""
@@ -406,7 +408,7 @@ class Cell:
         self._preparing = True
         failure: DriverError | None = None
         try:
-            await self.driver.prepare(Setup(run.seed, recipe.part, recipe.clearance_m, recipe.conditions))
+            await self.driver.prepare(_task(run, recipe))
         except DriverError as error:
             failure = error
         finally:
@@ -479,3 +481,10 @@ class Cell:
         peak_n = self._intake.take_recent_peak()
         point = report.telemetry(sample, peak_n, self.state, insertion, self.runs.active_id)
         self.journal.inform(lambda observer: observer.on_telemetry(point))
+
+
+def _task(run: Run, recipe: RecipeSection) -> Task | None:
+    """Return the episode that a simulated world lays out for a run; the driver checks it. None on a real arm."""
+    if run.seed is None:
+        return None
+    return Task(run.seed, cast("Part", recipe.part), recipe.clearance_m, recipe.conditions)

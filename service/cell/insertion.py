@@ -5,6 +5,7 @@ Every sample that the monitor has passed goes in, orders come out, in the order 
 
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
@@ -17,11 +18,11 @@ from service.cell.records import Disengage, Engage, Enter, Fail, Halt, Infer, Mo
 from service.drivers.base import PoseTarget, Program, RobotMode, SafetyMode, Sample, StopReason
 from service.faults import FaultCode
 from service.messages import CellState
-from service.policy.observation import Measurement
-from service.safety import bounds, dsl, preflight
+from service.policy.step import Seen
+from service.safety import dsl, preflight
 from service.safety.pose import rotvec_from_yaw, yaw_and_tilt
 from service.safety.stop import STANDSTILL_M_S
-from wire.arrays import FloatArray
+from wire.arrays import Float32Array, FloatArray
 
 ZEROING_TRIES = 12
 """Zeroing takes one noisy reading, so an unlucky one is repeated; contact is not."""
@@ -68,6 +69,21 @@ class Stage(StrEnum):
     ENDED = "ENDED"
 
 
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What the policy was asked, until it answers.
+
+    Attributes:
+        sample: from which.
+        seen: what was measured then.
+        observation: (n,) float32, as the policy got it.
+    """
+
+    sample: Sample
+    seen: Seen
+    observation: Float32Array
+
+
 class Insertion:
     """One run's progress. Not used again after it has ended.
 
@@ -80,17 +96,15 @@ class Insertion:
         self._stage = Stage.ZEROING
         self._stage_seq = -1
         self._zeroings = 0
-        self._window: deque[FloatArray] = deque(maxlen=max(plan.ticks_per_step, plan.preflight.window_samples))
+        self._window: deque[FloatArray] = deque(maxlen=max(plan.step.ticks, plan.preflight.window_samples))
         self._estimates: list[FloatArray] = []
         self._hole = plan.nominal_hole
         self._target = plan.start_position
         self._target_yaw = plan.start_yaw
         self._waypoints: list[FloatArray] = []
         self._path = StraightPath(plan.start_position, [], 0.0, np.inf)
-        self._dsl_state = dsl.DslState.begin(z_floor=plan.limits.workspace[0, 2])
-        self._observation_state = plan.builder.begin()
-        self._previous_action = np.zeros(4)
-        self._asked: tuple[Sample, npt.NDArray[np.float32]] | None = None
+        self._state = plan.step.begin(plan.start_position, plan.start_yaw)
+        self._asked: Asked | None = None
         self._outrageous = 0
         self._deep_steps = 0
         self._started_s: float | None = None
@@ -127,9 +141,8 @@ class Insertion:
         """
         if self._stage is not Stage.INSERTING or self._asked is None:
             return []
-        sample, observation = self._asked
-        self._asked = None
-        return list(self._act(sample, observation, np.asarray(action, np.float64)))
+        asked, self._asked = self._asked, None
+        return list(self._act(asked, np.asarray(action, np.float64)))
 
     # --- stages
 
@@ -266,6 +279,7 @@ class Insertion:
         match self._path.progress(sample):
             case Progress.ARRIVED:
                 self._go(Stage.INSERTING, sample)
+                self._state = self._plan.step.begin(self._target, self._target_yaw)
                 yield Enter(CellState.RUNNING)
                 yield from self._observe(sample)
             case Progress.OVERDUE:
@@ -276,15 +290,14 @@ class Insertion:
     def _insert(self, sample: Sample) -> Iterator[Order]:
         ticks = sample.seq - self._stage_seq
         if self._asked is not None:
-            asked_s = self._asked[0].time_s
-            if sample.time_s - asked_s >= self._plan.policy_deadline_s:
+            if sample.time_s - self._asked.sample.time_s >= self._plan.policy_deadline_s:
                 self._stage = Stage.ENDED
                 text = f"no action within {self._plan.policy_deadline_s * 1e3:g} ms; the last target was held"
                 yield Halt(FaultCode.POLICY_DEADLINE, text)
-        elif ticks >= self._plan.ticks_per_step:
+        elif ticks >= self._plan.step.ticks:
             # An action that came late shortens no other step
-            late = ticks >= 2 * self._plan.ticks_per_step
-            self._stage_seq = sample.seq if late else self._stage_seq + self._plan.ticks_per_step
+            late = ticks >= 2 * self._plan.step.ticks
+            self._stage_seq = sample.seq if late else self._stage_seq + self._plan.step.ticks
             yield from self._observe(sample)
 
     def _retract(self, sample: Sample) -> Iterator[Order]:
@@ -299,54 +312,42 @@ class Insertion:
     # --- one policy step
 
     def _observe(self, sample: Sample) -> Iterator[Order]:
-        state = self._dsl_state
-        yaw, tilt = yaw_and_tilt(sample.tcp_rotvec)
         estimate = sample.hole_estimate
         # None is no fault: the tool may hide the hole, and the policy goes by the mean of what came before
         if self._plan.uses_estimate and estimate is not None and (text := self._strays(estimate)) is not None:
             self._stage = Stage.ENDED
             yield Halt(FaultCode.BOUNDS, text)
             return
-        measurement = Measurement(
-            position=sample.tcp_position,
-            yaw=yaw,
-            tilt=tilt,
-            wrench_window=np.array(self._window)[-self._plan.ticks_per_step :],
-            hole_estimate=np.full(3, np.nan) if estimate is None else estimate,
-            nominal_hole=self._plan.nominal_hole,
-            target_position=self._target,
-            target_yaw=np.asarray(self._target_yaw),
-            start_yaw=np.asarray(self._plan.start_yaw),
-            z_lock=state.z_lock,
-            contact_z=state.z_contact0,
-            phase=state.phase,
-            previous_action=self._previous_action,
-            last_joint=np.asarray(sample.q[5]),
-        )
-        self._observation_state, observation = self._plan.builder.build(self._observation_state, measurement)
+        seen = self._see(sample)
+        self._state, observation = self._plan.step.observe(self._state, seen)
         if not np.isfinite(observation).all():
             self._stage = Stage.ENDED
             yield Halt(FaultCode.SENSOR_INVALID, "something that the policy observes is not known: check the camera")
             return
-        self._asked = sample, observation
+        self._asked = Asked(sample, seen, observation)
         yield Infer(observation)
 
-    def _act(self, sample: Sample, observation: npt.NDArray[np.float32], action: FloatArray) -> Iterator[Order]:
-        plan = self._plan
+    def _see(self, sample: Sample) -> Seen:
+        yaw, tilt = yaw_and_tilt(sample.tcp_rotvec)
+        return Seen(
+            position=sample.tcp_position,
+            yaw=yaw,
+            tilt=tilt,
+            wrench_window=np.array(self._window)[-self._plan.step.ticks :],
+            hole_estimate=np.full(3, np.nan) if sample.hole_estimate is None else sample.hole_estimate,
+            nominal_hole=self._plan.nominal_hole,
+            start_yaw=np.asarray(self._plan.start_yaw),
+            last_joint=np.asarray(sample.q[5]),
+        )
+
+    def _act(self, asked: Asked, action: FloatArray) -> Iterator[Order]:
+        plan, sample = self._plan, asked.sample
         if not np.isfinite(action).all():
             self._stage = Stage.ENDED
             yield Halt(FaultCode.POLICY_INVALID, f"the policy answered {action.tolist()}; nothing was sent")
             return
-        yaw, tilt = yaw_and_tilt(sample.tcp_rotvec)
-        lean = float(np.linalg.norm(tilt))
-        displacement = plan.action.displacement(action, yaw)
-        self._previous_action = plan.action.unit(action)
-        felt = np.array(self._window)[-plan.lock_samples :].mean(0)
-        self._dsl_state, locked = dsl.step(plan.dsl, self._dsl_state, sample.tcp_position, felt, displacement)
-        bounded = bounds.apply(
-            plan.bounds, sample.tcp_position, yaw, locked.position, yaw + locked.dyaw,
-            self._target, self._target_yaw, lean,
-        )  # fmt: skip
+        self._state, decision = plan.step.act(self._state, asked.seen, action)
+        bounded = decision.bounded
         if bool(bounded.invalid):
             self._stage = Stage.ENDED
             yield Halt(FaultCode.POLICY_INVALID, f"the action {action.tolist()} leads to no pose; nothing was sent")
@@ -354,15 +355,24 @@ class Insertion:
         order = self._move(bounded.position, float(bounded.yaw))
         depth = self._depth(sample)
         self.last = TickRecord(
-            self.steps, sample, observation, action, displacement, locked, bounded, order.target, depth
+            step=self.steps,
+            sample=sample,
+            observation=asked.observation,
+            action=action,
+            displacement=decision.displacement,
+            dsl=decision.locked,
+            bounded=bounded,
+            target=order.target,
+            depth_m=depth,
         )
         self.steps += 1
         if bool(bounded.tilt):
             self._stage = Stage.ENDED
-            text = f"the tool is tilted by {lean:.3f} rad, limit {plan.bounds.tilt_rad:g} rad; nothing was sent"
+            lean = float(np.linalg.norm(asked.seen.tilt))
+            text = f"the tool is tilted by {lean:.3f} rad, limit {plan.step.bounds.tilt_rad:g} rad; nothing was sent"
             yield Halt(FaultCode.BOUNDS, text)
             return
-        excess, change = float(plan.action.excess(action)), float(bounded.excess)
+        excess, change = float(plan.step.actions.excess(action)), float(bounded.excess)
         outrageous = excess > OUTRAGEOUS_ACTION or change > OUTRAGEOUS_CHANGE
         self._outrageous = self._outrageous + 1 if outrageous else 0
         if self._outrageous >= plan.clamped_steps:
@@ -371,7 +381,7 @@ class Insertion:
             yield Halt(FaultCode.BOUNDS, f"{self._outrageous} outrageous steps in a row, the last with {text}")
             return
         yield order
-        yield from self._judge(sample, locked, depth)
+        yield from self._judge(sample, decision.locked, depth)
 
     def _judge(self, sample: Sample, locked: dsl.DslOutput, depth: float) -> Iterator[Order]:
         plan = self._plan
@@ -381,9 +391,9 @@ class Insertion:
             yield from self._begin_retract(sample)
             return
         if bool(locked.search_depth_exceeded):
-            text = f"no contact within {plan.dsl.search_depth_m * 1e3:g} mm"
+            text = f"no contact within {plan.step.lock.search_depth_m * 1e3:g} mm"
         elif bool(locked.search_time_exceeded):
-            text = f"no contact within {plan.dsl.search_steps} steps"
+            text = f"no contact within {plan.step.lock.search_steps} steps"
         elif self.steps >= plan.max_steps:
             text = f"not inserted within {plan.max_steps} steps"
         else:
@@ -391,7 +401,7 @@ class Insertion:
         yield from self._fail(FaultCode.SEARCH_LIMIT, text, sample)
 
     def _depth(self, sample: Sample) -> float:
-        contact = float(self._dsl_state.z_contact0)
+        contact = float(self._state.lock.z_contact0)
         surface = float(self._hole[2])
         if np.isfinite(contact) and (not self._plan.uses_estimate or abs(contact - surface) < SURFACE_DOUBT_M):
             surface = contact
@@ -416,7 +426,7 @@ class Insertion:
             return
         # from where the peg is, not from where it was pressed to: a peg that is twisted in its hole does not come out
         self._target, self._target_yaw = sample.tcp_position, float(yaw_and_tilt(sample.tcp_rotvec)[0])
-        top = min(self._hole[2] + self._plan.hover_m, self._plan.limits.workspace[1, 2])
+        top = min(self._hole[2] + self._plan.hover_m, self._plan.limits.workspace[1][2])
         height = max(float(top), float(self._target[2]))
         self._path = self._plan_path([np.array([*self._target[:2], height])], sample)
         self._go(Stage.RETRACTING, sample)
@@ -431,7 +441,7 @@ class Insertion:
         return StraightPath.plan(self._target, waypoints, self._plan.approach_speed_m_s, period_s, sample.time_s)
 
     def _advance_path(self, sample: Sample) -> FloatArray:
-        return self._path.advance(sample.tcp_position, self._plan.bounds.leash_m)
+        return self._path.advance(sample.tcp_position, self._plan.step.bounds.leash_m)
 
     def _move(self, position: FloatArray, yaw: float) -> Move:
         self._target, self._target_yaw = position, yaw

@@ -5,15 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.config import CellConfig, LimitsSection, RecipeSection
-from service.drivers.base import ComplianceLaw, Limits
-from service.policy.action import ActionMap
 from service.policy.contract import PolicyContract
-from service.policy.observation import ObservationBuilder
-from service.safety.bounds import BoundsParameters
-from service.safety.dsl import DslParameters
+from service.policy.step import PolicyStep, command_bounds
 from service.safety.monitor import MonitorParameters
 from service.safety.preflight import PreflightParameters
 from wire.arrays import FloatArray
+from wire.law import ComplianceLaw, ControlLimits
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +26,6 @@ class Plan:
         hover_m: height above the hole at which the approach ends.
         approach_speed_m_s: of scripted moves.
         max_steps: policy steps before the run fails.
-        ticks_per_step: samples per policy step.
-        lock_samples: newest samples whose mean wrench the lock goes by.
         tick_s: period of the samples.
         success_depth_m: below the surface.
         retract: whether the tool moves up at the end.
@@ -38,11 +33,8 @@ class Plan:
         clamped_steps: steps in a row with an outrageous action before the cell latches.
         law: compliance while engaged.
         limits: that the arm's own controller enforces.
-        bounds: on every target of the policy.
-        dsl: the lock's constants.
         preflight: what the sensor and the pose must look like.
-        builder: of observations.
-        action: meaning of the policy's output.
+        step: the policy step, with its lock and its bounds.
     """
 
     start_position: FloatArray
@@ -53,28 +45,34 @@ class Plan:
     hover_m: float
     approach_speed_m_s: float
     max_steps: int
-    ticks_per_step: int
-    lock_samples: int
     tick_s: float
     success_depth_m: float
     retract: bool
     policy_deadline_s: float
     clamped_steps: int
     law: ComplianceLaw
-    limits: Limits
-    bounds: BoundsParameters
-    dsl: DslParameters
+    limits: ControlLimits
     preflight: PreflightParameters
-    builder: ObservationBuilder
-    action: ActionMap
+    step: PolicyStep
 
 
 def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyContract) -> Plan:
     """Put a recipe, the cell's limits and a policy's contract together."""
     limits = config.limits
-    lower, upper = limits.workspace_m
-    law = contract.compliance
-    ceiling = limits.force_ceiling_n if recipe.force_ceiling_n is None else recipe.force_ceiling_n
+    control = ControlLimits(
+        workspace=limits.workspace_m,
+        force_ceiling_n=limits.force_ceiling_n if recipe.force_ceiling_n is None else recipe.force_ceiling_n,
+        max_speed=(limits.max_speed_m_s, limits.max_turn_speed_rad_s),
+        max_step=(limits.max_step_m, limits.max_turn_rad),
+        target_age_s=limits.target_age_s,
+    )
+    bounds = command_bounds(
+        control,
+        contract.period_s,
+        recipe.start_yaw_rad,
+        yaw_half_range_rad=limits.yaw_range_rad,
+        tilt_rad=limits.max_tilt_rad,
+    )
     return Plan(
         start_position=np.array(recipe.start_position_m),
         start_yaw=recipe.start_yaw_rad,
@@ -84,48 +82,20 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         hover_m=recipe.hover_m,
         approach_speed_m_s=recipe.approach_speed_m_s,
         max_steps=contract.max_steps if recipe.max_steps is None else min(recipe.max_steps, contract.max_steps),
-        ticks_per_step=contract.ticks_per_step,
-        lock_samples=contract.wrench_window_ticks,
         tick_s=contract.tick_s,
         success_depth_m=recipe.success_depth_m,
         retract=recipe.retract,
         policy_deadline_s=limits.policy_deadline_s,
         clamped_steps=limits.clamped_steps,
-        law=ComplianceLaw(
-            stiffness=np.array(law.stiffness),
-            damping=np.array(law.damping),
-            inertia=np.array(law.inertia),
-            max_speed=np.array([limits.max_speed_m_s, limits.max_turn_speed_rad_s]),
-        ),
-        limits=Limits(
-            max_step=np.array([limits.max_step_m, limits.max_turn_rad]),
-            workspace=np.array(limits.workspace_m),
-            force_ceiling_n=ceiling,
-            target_age_s=limits.target_age_s,
-        ),
-        bounds=BoundsParameters(
-            period_s=contract.period_s,
-            step_m=limits.max_step_m,
-            step_rad=limits.max_turn_rad,
-            speed_mps=limits.max_speed_m_s,
-            speed_radps=limits.max_turn_speed_rad_s,
-            leash_m=limits.max_step_m,
-            leash_rad=limits.max_turn_rad,
-            workspace_lower=lower,
-            workspace_upper=upper,
-            yaw_centre_rad=recipe.start_yaw_rad,
-            yaw_half_range_rad=limits.yaw_range_rad,
-            tilt_rad=limits.max_tilt_rad,
-        ),
-        dsl=contract.dsl,
+        law=contract.compliance,
+        limits=control,
         preflight=PreflightParameters(**config.preflight.model_dump()),
-        builder=contract.observation_builder(),
-        action=contract.action_map(),
+        step=PolicyStep(contract, bounds),
     )
 
 
 def plan_monitor(limits: LimitsSection, force_ceiling_n: float) -> MonitorParameters:
-    """Limits of a sample; the ceiling is the cell's, or a recipe's where that is lower."""
+    """ControlLimits of a sample; the ceiling is the cell's, or a recipe's where that is lower."""
     return MonitorParameters(
         force_ceiling_n=force_ceiling_n,
         torque_ceiling_nm=limits.torque_ceiling_nm,

@@ -125,7 +125,6 @@ def _beyond_lock(contract: PolicyContract, limits: LimitsSection) -> Iterator[st
         ("lift_max_m", lock.lift_max_m, "max_lift_m", limits.max_lift_m),
         ("search_depth_m", lock.search_depth_m, "max_search_depth_m", limits.max_search_depth_m),
         ("search_steps", lock.search_steps, "max_search_steps", limits.max_search_steps),
-        ("peck_deeper_m", lock.peck_deeper_m if lock.mode == "peck" else 0.0, "max_press_m", limits.max_press_m),
     ):
         if want > limit:
             yield f"dsl.{name} is {want:g}, limits.{field} of the cell is {limit:g}"

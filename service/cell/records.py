@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 
-from service.drivers.base import ComplianceLaw, Limits, PoseTarget, Sample
+from service.drivers.base import PoseTarget, Sample
 from service.faults import FaultCode
 from service.messages import CellState
 from service.safety.bounds import BoundedCommand
 from service.safety.dsl import DslOutput
 from wire.arrays import Float32Array, FloatArray
+from wire.law import ComplianceLaw, ControlLimits
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +48,7 @@ class Engage:
     """Start the control program on the arm."""
 
     law: ComplianceLaw
-    limits: Limits
+    limits: ControlLimits
 
 
 @dataclass(frozen=True, slots=True)

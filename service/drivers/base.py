@@ -1,7 +1,7 @@
 """What a driver is to the cell: samples up, pose targets and stop down. A new arm is one class with these methods.
 
 Everything here runs on the event loop's thread, and nothing in it waits: a driver that needs to wait has a task or a
-thread of its own and hands over what it received. Frames, units and signs are those of `docs/architecture.md`.
+thread of its own and hands over what it received. Frames, units and signs are those of `docs/reference/frames.md`.
 """
 
 from collections.abc import Callable
@@ -10,9 +10,11 @@ from typing import Literal, Protocol
 
 from service.faults import FaultCode
 from wire.arrays import FloatArray
+from wire.law import ComplianceLaw, ControlLimits
 from wire.records import Program, StopReason
 from wire.rtde.modes import RobotMode as RobotMode
 from wire.rtde.modes import SafetyMode as SafetyMode
+from wire.task import Task
 
 
 class DriverError(Exception):
@@ -71,62 +73,11 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
-class ComplianceLaw:
-    """How the arm yields about its TCP, base axes: inertia · v̇ = stiffness · e − damping · v + wrench.
-
-    Attributes:
-        stiffness: (6,) N/m and N·m/rad.
-        damping: (6,) N·s/m and N·m·s/rad.
-        inertia: (6,) kg and kg·m².
-        max_speed: (2,) of the reference, m/s and rad/s.
-    """
-
-    stiffness: FloatArray
-    damping: FloatArray
-    inertia: FloatArray
-    max_speed: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """What the control program on the arm's controller enforces by itself while engaged.
-
-    Attributes:
-        max_step: (2,) largest change of target, m and rad.
-        workspace: (2, 3) lower and upper corner of the box for the TCP's position, m.
-        force_ceiling_n: resultant, N.
-        target_age_s: without a new target for this long, it stops.
-    """
-
-    max_step: FloatArray
-    workspace: FloatArray
-    force_ceiling_n: float
-    target_age_s: float
-
-
-@dataclass(frozen=True, slots=True)
 class PoseTarget:
     """Where the TCP shall go: `position` (3,) m and `rotvec` (3,) rad, base frame."""
 
     position: FloatArray
     rotvec: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class Setup:
-    """What a run wants of the world before it starts.
-
-    Attributes:
-        seed: of a simulated world; None where there is nothing to draw.
-        part: peg and hole.
-        clearance_m: per face.
-        conditions: distributions that a simulated world draws from.
-    """
-
-    seed: int | None
-    part: str
-    clearance_m: float
-    conditions: str
 
 
 class SampleSink(Protocol):
@@ -180,15 +131,18 @@ class Driver(Protocol):
         """
         ...
 
-    async def prepare(self, setup: Setup) -> None:
-        """Have the world as the run wants it; returns once samples of it flow.
+    async def prepare(self, task: Task | None) -> None:
+        """Lay out the world of a run; return once samples of it flow.
+
+        Args:
+            task: the episode that a simulated world draws; None on a real arm.
 
         Raises:
-            DriverError: it cannot be had; a real arm refuses a seed.
+            DriverError: the world cannot be laid out; a real arm was given a task.
         """
         ...
 
-    def engage(self, law: ComplianceLaw, limits: Limits) -> None:
+    def engage(self, law: ComplianceLaw, limits: ControlLimits) -> None:
         """Start the control program; its target is the present pose."""
         ...
 

@@ -4,10 +4,11 @@ import secrets
 
 import numpy as np
 
-from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, Sample, Setup
+from service.drivers.base import DriverError, PoseTarget, Sample
 from service.faults import FaultCode
 from wire import records as wire
 from wire.arrays import RecordArray
+from wire.law import ComplianceLaw, ControlLimits
 from wire.task import Task
 
 
@@ -52,22 +53,19 @@ def read_sample(record: RecordArray, arrival_s: float) -> Sample:
     )
 
 
-def task_of(setup: Setup) -> Task:
-    """Return the world that a run wants.
+def check_task(task: Task | None) -> Task:
+    """Return the task, which must be one that a world can be built from.
 
     Raises:
-        DriverError: PROTOCOL, the text names the field that no world can be built from.
+        DriverError: PROTOCOL, there is none, or the text names the field that is wrong.
     """
-    document = {
-        "seed": 0 if setup.seed is None else setup.seed,
-        "part": setup.part,
-        "clearance_m": setup.clearance_m,
-        "conditions": setup.conditions,
-    }
+    if task is None:
+        raise DriverError(FaultCode.PROTOCOL, "a simulated world needs a task to lay out")
     try:
-        return Task.from_json(document)
+        task.check()
     except ValueError as error:
         raise DriverError(FaultCode.PROTOCOL, f"the recipe asks for a world that cannot be: {error}") from error
+    return task
 
 
 class CommandWriter:
@@ -82,11 +80,11 @@ class CommandWriter:
         self._client = secrets.randbits(63)
         self._seq = 0
 
-    def engage(self, law: ComplianceLaw, limits: Limits) -> RecordArray:
+    def engage(self, law: ComplianceLaw, limits: ControlLimits) -> RecordArray:
         record = self._new(wire.Kind.ENGAGE)
         row = record[0]
         row["stiffness"], row["damping"], row["inertia"] = law.stiffness, law.damping, law.inertia
-        row["max_speed"], row["max_step"], row["workspace"] = law.max_speed, limits.max_step, limits.workspace
+        row["max_speed"], row["max_step"], row["workspace"] = limits.max_speed, limits.max_step, limits.workspace
         row["force_ceiling"], row["target_age"] = limits.force_ceiling_n, limits.target_age_s
         return record
 

@@ -8,12 +8,13 @@ from typing import Protocol
 
 import zenoh
 
-from service.drivers.base import DriverError, Setup
-from service.drivers.sim_wire import task_of
+from service.drivers.base import DriverError
+from service.drivers.sim_wire import check_task
 from service.faults import FaultCode
 from wire import keys
 from wire import records as wire
 from wire.session import QueryRefusedError, close_session, open_session, query
+from wire.task import Task
 
 LAY_OUT_S = 30.0
 """Host time for a simulator to lay out, and perhaps to compile, a world."""
@@ -43,7 +44,7 @@ class Stage(Protocol):
         """
         ...
 
-    async def lay_out(self, setup: Setup) -> LaidOut:
+    async def lay_out(self, task: Task | None) -> LaidOut:
         """Have the world as a run wants it.
 
         Raises:
@@ -57,7 +58,7 @@ class Stage(Protocol):
 
 
 class ZenohStage:
-    """The world of an emulated controller, laid out as that of a simulated cell is (`docs/wire.md`).
+    """The world of an emulated controller, laid out as that of a simulated cell is (`docs/reference/wire.md`).
 
     Args:
         world: name in its keys.
@@ -74,8 +75,8 @@ class ZenohStage:
         if self._session is None:
             self._session = await asyncio.to_thread(open_session, connect=self._connect)
 
-    async def lay_out(self, setup: Setup) -> LaidOut:
-        payload = json.dumps(task_of(setup).to_json()).encode()
+    async def lay_out(self, task: Task | None) -> LaidOut:
+        payload = json.dumps(check_task(task).to_json()).encode()
         if self._session is None:
             raise DriverError(FaultCode.LINK, f"{self._name}: not connected")
         try:

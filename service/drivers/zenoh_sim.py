@@ -4,20 +4,21 @@ import asyncio
 import json
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy.typing as npt
 import zenoh
 
-from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, Sample, SampleSink, Setup
+from service.drivers.base import DriverError, PoseTarget, Sample, SampleSink
 from service.drivers.handover import Handover
-from service.drivers.sim_wire import CommandWriter, read_sample, task_of
+from service.drivers.sim_wire import CommandWriter, check_task, read_sample
 from service.faults import FaultCode
 from wire import keys
 from wire import records as wire
+from wire.law import ComplianceLaw, ControlLimits
+from wire.limits import TimeMode
 from wire.session import QueryRefusedError, call_in_loop, close_session, open_session, query
-
-Mode = Literal["real_time", "lockstep"]
+from wire.task import Task
 
 QUERY_TIMEOUT_S = 2.0
 """Host time for an answer of a simulator that has nothing to compute but a tick."""
@@ -41,9 +42,9 @@ class ZenohSimDriver:
     tick_s = wire.TICK_S
 
     def __init__(
-        self, world: str, connect: Sequence[str], mode: Mode, clock: Callable[[], float] = time.monotonic
+        self, world: str, connect: Sequence[str], mode: TimeMode, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.mode: Mode = mode
+        self.mode: TimeMode = mode
         self.name = f"simulated cell sim/{world} at {', '.join(connect)}"
         self._world = world
         self._connect = tuple(connect)
@@ -90,8 +91,8 @@ class ZenohSimDriver:
             )
             self._session.declare_subscriber(keys.STATE.format(world=self._world), self._receive)
 
-    async def prepare(self, setup: Setup) -> None:
-        payload = json.dumps(task_of(setup).to_json()).encode()
+    async def prepare(self, task: Task | None) -> None:
+        payload = json.dumps(check_task(task).to_json()).encode()
         replies = await self._query(keys.RESET, payload, PREPARE_TIMEOUT_S)
         try:
             laid_out = int(wire.decode(replies[0], wire.STATE)[0]["seq"])
@@ -106,7 +107,7 @@ class ZenohSimDriver:
         except TimeoutError as error:
             raise DriverError(FaultCode.STALE, f"{self.name}: no samples after the world was laid out") from error
 
-    def engage(self, law: ComplianceLaw, limits: Limits) -> None:
+    def engage(self, law: ComplianceLaw, limits: ControlLimits) -> None:
         self._send(self._commands.engage(law, limits))
 
     def send_target(self, target: PoseTarget) -> int:

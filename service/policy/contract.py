@@ -1,18 +1,19 @@
 """What a policy file says about itself: the JSON contract in the metadata of its ONNX model.
 
-`docs/policy-contract.md` is the reference for integrators.
+`docs/reference/policy-contract.md` is the reference for integrators.
 """
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from service.policy.action import COMPONENTS, ActionMap
-from service.policy.observation import ENTRIES, Frame, Mode, Need, ObservationBuilder
-from service.safety import dsl
+from service.policy.observation import ENTRIES, Frame, Need, ObservationBuilder, ObservationMode
 from service.safety.dsl import DslParameters
+from wire.law import ComplianceLaw
+from wire.limits import LockMode
 
 METADATA_KEY = "dsl_assembly_contract"
 """Key of the contract in the model's metadata."""
@@ -21,7 +22,6 @@ SCHEMA_VERSION = 1
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Six = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
 Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
@@ -104,26 +104,12 @@ class ActionEntry(Section):
         return self
 
 
-class ComplianceLaw(Section):
-    """The law around the target while the policy was trained, about the TCP: x, y, z, then rotation about them.
-
-    Attributes:
-        stiffness: N/m and N·m/rad.
-        damping: N·s/m and N·m·s/rad.
-        inertia: kg and kg·m².
-    """
-
-    stiffness: Six
-    damping: Six
-    inertia: Six
-
-
 class EvaluationFigure(Section):
     """One measured result.
 
     Attributes:
         clearance_m: per face.
-        conditions: distributions of `docs/conditions.md`.
+        conditions: distributions of `docs/reference/conditions.md`.
         episodes: independent, deterministic policy, seeds never trained on.
         successes: of those.
         low: lower end of the 95 % Wilson interval of the success rate.
@@ -169,7 +155,7 @@ class CellCapabilities:
     stiffness_max: tuple[float, float, float, float, float, float]
     damping_min: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     inertia_min: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    locks: tuple[dsl.Mode, ...] = ("paper", "peck")
+    locks: tuple[LockMode, ...] = ("paper",)
     press_max_m: float = 5e-3
 
 
@@ -199,7 +185,7 @@ class PolicyContract(Section):
     name: Annotated[str, Field(min_length=1, max_length=100)]
     parts: Annotated[tuple[str, ...], Field(min_length=1)]
     clearance_m: tuple[Positive, Positive]
-    mode: Mode
+    mode: ObservationMode
     tick_s: Positive = 0.002
     ticks_per_step: Annotated[int, Field(ge=1, le=500)]
     max_steps: Annotated[int, Field(ge=1, le=10_000)]
@@ -211,6 +197,18 @@ class PolicyContract(Section):
     hidden_size: Annotated[int, Field(ge=0, le=4096)] = 0
     provenance: dict[str, JsonValue] = {}
     evaluation: tuple[EvaluationFigure, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_peck(cls, document: Any) -> Any:
+        """Drop the constant of a lock mode that no longer exists: policies exported before 0.2 carry it, unused."""
+        if not isinstance(document, dict):
+            return document
+        fields = cast(dict[str, Any], document)
+        if not isinstance(fields.get("dsl"), dict):
+            return fields
+        lock = cast(dict[str, Any], fields["dsl"])
+        return {**fields, "dsl": {name: value for name, value in lock.items() if name != "peck_deeper_m"}}
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -240,11 +238,9 @@ class PolicyContract(Section):
 
     def _check_action_names(self) -> None:
         names = {entry.name for entry in self.action}
-        missing = [name for name in COMPONENTS if name not in names and not (name == "dz" and self.dsl.mode == "peck")]
+        missing = [name for name in COMPONENTS if name not in names]
         if missing:
             raise ValueError(f"action lacks {', '.join(missing)}")
-        if self.dsl.mode == "peck" and "dz" in names:
-            raise ValueError("action has dz, but in dsl.mode 'peck' the policy has no z")
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Self:

@@ -16,7 +16,7 @@ from service.policy.window import WrenchSummary, summarise
 from service.safety.pose import rotate, wrap
 from wire.arrays import Float32Array, FloatArray, IntArray
 
-Mode = Literal["VFTM", "FTM", "VM"]
+ObservationMode = Literal["VFTM", "FTM", "VM"]
 Frame = Literal["tool", "base", "none"]
 
 CENTROID_FLOOR_N = 1.0
@@ -235,7 +235,7 @@ class ObservationBuilder:
     def __init__(
         self,
         entries: Sequence[ObservationEntry],
-        mode: Mode,
+        mode: ObservationMode,
         max_steps: int,
         window_samples: int,
         force_clip_n: float = 10.0,

@@ -3,7 +3,7 @@
 Algorithm 1 and equations 3 to 6 of the paper "DSL-Assembly: A Robust and Safe Assembly Strategy" (Y. Liu), any batch
 shape. Comments name the line or equation that the code below them implements.
 
-Frames and signs are those of `docs/architecture.md`: base frame, z up, insertion along -z, pressing gives Fz > 0.
+Frames and signs are those of `docs/reference/frames.md`: base frame, z up, insertion along -z, pressing gives Fz > 0.
 
 NaN must never enter: it would pass into the lock and stay there. A cell's monitor refuses it before, and its bounds
 after; nothing here looks, because this also runs over thousands of simulated cells.
@@ -20,8 +20,6 @@ import numpy.typing as npt
 from wire.arrays import BoolArray, FloatArray, IntArray
 from wire.limits import LockMode
 
-Mode = LockMode
-
 
 class Phase(IntEnum):
     """What governs a command."""
@@ -29,20 +27,18 @@ class Phase(IntEnum):
     SEEK = 0
     """No contact: creep down."""
     LOCKED = 1
-    """In contact: z may not go below the lock. In `peck`: lifted to the record, about to press."""
-    PRESSED = 2
-    """`peck` only: below the record; the next step judges the wrench felt there."""
+    """In contact: z may not go below the lock."""
     FREE = 3
     """The policy owns z: `off` always, `sliding` from the first contact on."""
 
 
 @dataclass(frozen=True, slots=True)
 class DslParameters:
-    """Constants of the lock; they travel in the policy's contract, because a policy is trained with them.
+    """Constants of the lock. They are stored in the policy's contract, because a policy is trained with them.
 
     Attributes:
-        mode: `paper`: Algorithm 1. `peck`: press, feel, lift. `sliding`: contact search, then the policy owns z.
-            `off`: the command is the policy's.
+        mode: `paper`: Algorithm 1. `sliding`: the search for contact, then the policy owns z. `off`: the policy's
+            command as it is.
         delta_f: δf, changes of the normalised wrench above which an edge was felt.
         beta1: β1 of equation 3, m per unit of normalised wrench.
         beta2: β2 of equation 6, its component along z; m per m.
@@ -51,14 +47,13 @@ class DslParameters:
         contact_threshold: normalised Fz from which there is contact.
         release_threshold: normalised Fz below which contact is lost; None: `contact_threshold`.
         seek_step_m: δz, the increment downwards while seeking, m.
-        press_m: how far below the lock a command may go, m. In `peck`, how far each press goes.
+        press_m: how far below the lock a command may go, m.
         lift_max_m: how far above the first contact the lock may rise, m.
         search_depth_m: depth of one stretch of seeking without contact at which the search has failed, m.
         search_steps: length of one stretch of seeking, steps, above which the search has failed.
-        peck_deeper_m: `peck` only: how much deeper the next press goes when one met nothing, m.
     """
 
-    mode: Mode = "paper"
+    mode: LockMode = "paper"
     delta_f: tuple[float, float, float, float, float, float] = (0.15, 0.15, 0.45, 0.1, 0.1, 0.2)
     beta1: tuple[float, float, float] = (1e-3, 1e-3, 5e-4)
     beta2: float = 1e-3
@@ -71,7 +66,6 @@ class DslParameters:
     lift_max_m: float = 5e-3
     search_depth_m: float = 0.06
     search_steps: int = 110
-    peck_deeper_m: float = 5e-4
 
     def __post_init__(self) -> None:
         """Refuse values that no lock can work with.
@@ -79,8 +73,8 @@ class DslParameters:
         Raises:
             ValueError: the text names the field.
         """
-        if self.mode not in Mode.__args__:
-            raise ValueError(f"dsl.mode must be one of {', '.join(Mode.__args__)}, not {self.mode!r}")
+        if self.mode not in LockMode.__args__:
+            raise ValueError(f"dsl.mode must be one of {', '.join(LockMode.__args__)}, not {self.mode!r}")
         if len(self.delta_f) != 6 or len(self.beta1) != 3:
             raise ValueError("dsl.delta_f has 6 components and dsl.beta1 has 3")
         for field in fields(self):
@@ -104,8 +98,6 @@ class DslParameters:
             raise ValueError(f"dsl.contact_threshold must lie in 0 … 1 of the clip, not {self.contact_threshold!r}")
         if self.release_threshold is not None and self.release_threshold > self.contact_threshold:
             raise ValueError("dsl.release_threshold must not be above dsl.contact_threshold: the lock would chatter")
-        if self.mode == "peck" and not (self.press_m > 0 and self.peck_deeper_m > 0):
-            raise ValueError("dsl.press_m and dsl.peck_deeper_m must be above zero in mode peck")
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +203,7 @@ def step(
         state: from `DslState.begin` or the last step.
         position: (..., 3) m, measured TCP.
         wrench: (..., 6) N and N·m at the TCP, base axes, zeroed and compensated, what the environment does to the tool.
-        action: (..., 4) dx, dy, dz in m, dθ in rad, base frame. dz is ignored in `peck`.
+        action: (..., 4) dx, dy, dz in m, dθ in rad, base frame.
         reset_mask: (...) bool, elements to reset before the step.
 
     Returns:
@@ -220,111 +212,204 @@ def step(
     if reset_mask is not None:
         state = state.reset(reset_mask)
     p, w, a = (np.asarray(x, np.float64) for x in (position, wrench, action))
-    z, dz = p[..., 2], a[..., 2]
+    felt = _feel(parameters, state, p, w)
+    search = _search(parameters, state, felt, p[..., 2], a[..., 2])
+    z = _MODES[parameters.mode](parameters, state, felt, search, p, a[..., 2])
 
-    # Algorithm 1, "normalized the F/T sensor data"; Δ over one step, zero on the first
-    ratio = w / np.array([parameters.force_clip_n] * 3 + [parameters.torque_clip_nm] * 3)
-    n = np.clip(ratio, -1.0, 1.0)
-    moved = ~state.fresh
-    delta_n = (n - state.previous_n) * moved[..., None]
-    delta_p = (p - state.previous_position) * moved[..., None]
-    contact = n[..., 2] >= parameters.contact_threshold
-    raised, edge = _lock_increment(parameters, delta_n, delta_p)
-
-    # Algorithm 1, "while not contact": the search, its limits, and the record of the first contact
-    free = parameters.mode == "off"
-    seeking = (state.phase == Phase.SEEK) & (not free)
-    found = seeking & contact
-    searching = seeking & ~contact
-    first = contact & np.isnan(state.z_contact0)
-    z_contact0 = np.where(first, z, state.z_contact0)
-    seek_start = np.where(searching, np.where(np.isnan(state.seek_start_z), z, state.seek_start_z), np.nan)
-    seek_steps = np.where(searching, state.seek_steps + 1, 0).astype(np.int32)
-    too_deep = searching & (z - parameters.seek_step_m < seek_start - parameters.search_depth_m)
-    too_long = searching & (seek_steps > parameters.search_steps)
-    asked_while_seeking = z - parameters.seek_step_m + (0.0 if parameters.mode == "peck" else dz)
-    seek_z = np.where(too_deep | too_long, np.maximum(asked_while_seeking, z), asked_while_seeking)
-    seek_z = np.fmax(seek_z, seek_start - parameters.search_depth_m)
-    hold_xy = searching & np.isnan(z_contact0)
-
-    held = ~searching
-    release = parameters.contact_threshold if parameters.release_threshold is None else parameters.release_threshold
-    if parameters.mode == "paper":
-        # Equations 4 and 6, never above the first contact plus the lift, never below the floor
-        lock = np.maximum(np.minimum(z + raised, z_contact0 + parameters.lift_max_m), state.z_floor)
-        z_lock = np.where(held, lock, np.nan)
-        asked = np.where(searching, seek_z, z + dz)
-        command_z = np.where(held, np.maximum(asked, lock - parameters.press_m), asked)
-        phase = np.where(held, Phase.LOCKED, Phase.SEEK)
-        lost = held & (n[..., 2] < release)
-        next_phase = np.where(lost, Phase.SEEK, phase)
-        next_lock = np.where(lost, np.nan, z_lock)
-        acts = held
-    elif parameters.mode == "peck":
-        pressing = state.phase == Phase.LOCKED
-        pressed = state.phase == Phase.PRESSED
-        deeper = pressed & (n[..., 2] < release)
-        lift = found | (pressed & ~deeper)
-        record = np.where(found, z, state.z_lock)
-        # A tip that friction holds up must not let the record run away below it
-        record = np.where(deeper, np.maximum(record, z) - parameters.peck_deeper_m, record)
-        z_lock = np.maximum(record, state.z_floor)
-        asked = np.where(searching, seek_z, np.where(lift, z_lock, z_lock - parameters.press_m))
-        command_z = asked
-        phase = np.where(searching, Phase.SEEK, np.where(lift, Phase.LOCKED, Phase.PRESSED))
-        next_phase, next_lock = phase, z_lock
-        acts = pressing | deeper
-        edge = edge & pressed
-    else:
-        free_now = held | free
-        asked = command_z = np.where(free_now, z + dz, seek_z)
-        z_lock = next_lock = np.full(np.shape(z), np.nan)
-        phase = next_phase = np.where(free_now, Phase.FREE, Phase.SEEK)
-        acts = free_now
-        edge = edge & False
-    if not free:
-        command_z = np.maximum(command_z, state.z_floor)
-
-    # "x and y held until the first contact"; in `peck` also while lifting
-    acts_xy = acts | (searching & ~hold_xy)
-    acts_yaw = acts | searching
+    # Algorithm 1 holds x and y until the first contact
+    moves_xy = ~search.under_way | np.isfinite(search.z_contact0)
     command = p.copy()
-    command[..., 0] += np.where(acts_xy, a[..., 0], 0.0)
-    command[..., 1] += np.where(acts_xy, a[..., 1], 0.0)
-    command[..., 2] = command_z
+    command[..., 0] += np.where(moves_xy, a[..., 0], 0.0)
+    command[..., 1] += np.where(moves_xy, a[..., 1], 0.0)
+    command[..., 2] = z.command
     next_state = DslState(
-        phase=next_phase.astype(np.int32),
-        z_lock=next_lock,
-        z_contact0=z_contact0,
-        previous_n=n,
+        phase=z.next_phase.astype(np.int32),
+        z_lock=z.next_lock,
+        z_contact0=search.z_contact0,
+        previous_n=felt.n,
         previous_position=p.copy(),
         fresh=np.zeros_like(state.fresh),
-        seek_start_z=seek_start,
-        seek_steps=seek_steps,
+        seek_start_z=search.start_z,
+        seek_steps=search.steps,
         z_floor=state.z_floor,
     )
     output = DslOutput(
         position=command,
-        dyaw=np.where(acts_yaw, a[..., 3], 0.0),
-        z_lock=z_lock,
-        phase=phase.astype(np.int32),
-        edge=edge & held,
-        contact=contact,
-        clamped=command_z > asked,
-        saturated=np.abs(ratio) >= 1.0,
-        search_depth_exceeded=too_deep,
-        search_time_exceeded=too_long,
+        dyaw=a[..., 3].copy(),
+        z_lock=z.lock,
+        phase=z.phase.astype(np.int32),
+        edge=z.edge,
+        contact=felt.contact,
+        clamped=z.command > z.asked,
+        saturated=felt.saturated,
+        search_depth_exceeded=search.too_deep,
+        search_time_exceeded=search.too_long,
     )
     return next_state, output
 
 
-def _lock_increment(
-    parameters: DslParameters, delta_n: FloatArray, delta_p: FloatArray
-) -> tuple[FloatArray, BoolArray]:
-    """How far above the measured z the lock stands (...), m, and whether an edge was felt (...)."""
-    edge: BoolArray = np.asarray((np.abs(delta_n) > np.array(parameters.delta_f)).any(-1))
-    # Equation 3, summed as in equation 4; the text says that it raises, so a negative sum does not lower
-    leverage = (delta_n[..., :3] + delta_n[..., 3:]) @ np.array(parameters.beta1)
-    # Equations 5 and 6
-    drift = parameters.beta2 * np.sqrt((delta_p * delta_p).sum(-1))
-    return np.where(edge, np.maximum(leverage, 0.0), drift), edge
+# --- what every mode begins with
+
+
+@dataclass(frozen=True, slots=True)
+class _Felt:
+    """The wrench of one step, normalised, and what has changed since the last step.
+
+    Attributes:
+        n: (..., 6) normalised wrench.
+        delta_n: (..., 6) its change; zero on the first step.
+        delta_p: (..., 3) m, displacement of the TCP; zero on the first step.
+        contact: (...) normalised Fz at or above the contact threshold.
+        saturated: (..., 6) components at or beyond the clip.
+    """
+
+    n: FloatArray
+    delta_n: FloatArray
+    delta_p: FloatArray
+    contact: BoolArray
+    saturated: BoolArray
+
+
+def _feel(parameters: DslParameters, state: DslState, p: FloatArray, w: FloatArray) -> _Felt:
+    """Algorithm 1, "normalized the F/T sensor data", and Δ over one step."""
+    ratio = w / np.array([parameters.force_clip_n] * 3 + [parameters.torque_clip_nm] * 3)
+    n = np.clip(ratio, -1.0, 1.0)
+    moved = ~state.fresh
+    return _Felt(
+        n=n,
+        delta_n=(n - state.previous_n) * moved[..., None],
+        delta_p=(p - state.previous_position) * moved[..., None],
+        contact=n[..., 2] >= parameters.contact_threshold,
+        saturated=np.abs(ratio) >= 1.0,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """The search for contact after one step.
+
+    Attributes:
+        under_way: (...) there is no contact and the tip creeps down.
+        z_contact0: (...) m, height of the first contact; NaN before it.
+        start_z: (...) m, where this stretch of the search began; NaN outside one.
+        steps: (...) int32, steps of this stretch.
+        too_deep: (...) the stretch has reached `search_depth_m`; the tip is held.
+        too_long: (...) the stretch has reached `search_steps`; the tip is held.
+        command: (...) m, height commanded while the search is under way.
+    """
+
+    under_way: BoolArray
+    z_contact0: FloatArray
+    start_z: FloatArray
+    steps: IntArray
+    too_deep: BoolArray
+    too_long: BoolArray
+    command: FloatArray
+
+
+def _search(parameters: DslParameters, state: DslState, felt: _Felt, z: FloatArray, dz: FloatArray) -> _Search:
+    """Algorithm 1, "while not contact": creep down by δz and the policy's dz, bounded in depth and time."""
+    seeking = (state.phase == Phase.SEEK) & (parameters.mode != "off")
+    under_way = seeking & ~felt.contact
+    first = felt.contact & np.isnan(state.z_contact0)
+    start_z = np.where(under_way, np.where(np.isnan(state.seek_start_z), z, state.seek_start_z), np.nan)
+    steps = np.where(under_way, state.seek_steps + 1, 0).astype(np.int32)
+    too_deep = under_way & (z - parameters.seek_step_m < start_z - parameters.search_depth_m)
+    too_long = under_way & (steps > parameters.search_steps)
+    asked = z - parameters.seek_step_m + dz
+    command = np.where(too_deep | too_long, np.maximum(asked, z), asked)
+    return _Search(
+        under_way=under_way,
+        z_contact0=np.where(first, z, state.z_contact0),
+        start_z=start_z,
+        steps=steps,
+        too_deep=too_deep,
+        too_long=too_long,
+        command=np.fmax(command, start_z - parameters.search_depth_m),
+    )
+
+
+# --- the modes
+
+
+@dataclass(frozen=True, slots=True)
+class _Height:
+    """What a mode decides about z; batch shape (...).
+
+    Attributes:
+        asked: m, height asked for.
+        command: m, height commanded.
+        lock: m, the lock that holds for this command; NaN without one.
+        next_lock: m, the lock that the next step begins with.
+        phase: `Phase` that governs this command.
+        next_phase: `Phase` that the next step begins in.
+        edge: a jump of the wrench above δf was felt while locked.
+    """
+
+    asked: FloatArray
+    command: FloatArray
+    lock: FloatArray
+    next_lock: FloatArray
+    phase: npt.NDArray[np.integer]
+    next_phase: npt.NDArray[np.integer]
+    edge: BoolArray
+
+
+def _paper(
+    parameters: DslParameters, state: DslState, felt: _Felt, search: _Search, p: FloatArray, dz: FloatArray
+) -> _Height:
+    """Algorithm 1: seek until contact; in contact hold z above the lock, which an edge raises."""
+    z = p[..., 2]
+    locked = ~search.under_way
+    # "if Δn > δf": an edge was felt
+    edge: BoolArray = np.asarray((np.abs(felt.delta_n) > np.array(parameters.delta_f)).any(-1))
+    # Equation 3, summed as in equation 4. The increment raises, so a negative sum does not lower the lock
+    raised = np.maximum((felt.delta_n[..., :3] + felt.delta_n[..., 3:]) @ np.array(parameters.beta1), 0.0)
+    # Equations 5 and 6: without an edge the lock stays at the tip, but for a drift of about a micrometre
+    drift = parameters.beta2 * np.sqrt((felt.delta_p * felt.delta_p).sum(-1))
+    # Bounds that the paper leaves open: never above the first contact plus the lift, never below the floor
+    highest = search.z_contact0 + parameters.lift_max_m
+    lock = np.maximum(np.minimum(z + np.where(edge, raised, drift), highest), state.z_floor)
+    # "z ≥ z_lock"
+    asked = np.where(locked, z + dz, search.command)
+    command = np.where(locked, np.maximum(asked, lock - parameters.press_m), asked)
+    # "while not contact" again: a lost contact releases the lock
+    release = parameters.contact_threshold if parameters.release_threshold is None else parameters.release_threshold
+    lost = locked & (felt.n[..., 2] < release)
+    z_lock = np.where(locked, lock, np.nan)
+    phase = np.where(locked, Phase.LOCKED, Phase.SEEK)
+    return _Height(
+        asked=asked,
+        command=np.maximum(command, state.z_floor),
+        lock=z_lock,
+        next_lock=np.where(lost, np.nan, z_lock),
+        phase=phase,
+        next_phase=np.where(lost, Phase.SEEK, phase),
+        edge=edge & locked,
+    )
+
+
+def _sliding(
+    parameters: DslParameters, state: DslState, felt: _Felt, search: _Search, p: FloatArray, dz: FloatArray
+) -> _Height:
+    """The same search for contact, without a lock after it: the policy owns z."""
+    asked = np.where(search.under_way, search.command, p[..., 2] + dz)
+    phase = np.where(search.under_way, Phase.SEEK, Phase.FREE)
+    return _unlocked(asked, np.maximum(asked, state.z_floor), phase)
+
+
+def _off(
+    parameters: DslParameters, state: DslState, felt: _Felt, search: _Search, p: FloatArray, dz: FloatArray
+) -> _Height:
+    """The policy owns z from the first step on."""
+    asked = p[..., 2] + dz
+    return _unlocked(asked, asked, np.full(np.shape(asked), Phase.FREE))
+
+
+def _unlocked(asked: FloatArray, command: FloatArray, phase: npt.NDArray[np.integer]) -> _Height:
+    no_lock = np.full(np.shape(asked), np.nan)
+    no_edge = np.zeros(np.shape(asked), np.bool_)
+    return _Height(asked, command, no_lock, no_lock, phase, phase, no_edge)
+
+
+_MODES = {"paper": _paper, "sliding": _sliding, "off": _off}

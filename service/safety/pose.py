@@ -1,6 +1,6 @@
 """Orientation of a tool that points down: `R = Rz(yaw) · Rx(π)`, tilted by a little.
 
-`docs/architecture.md` has the frames.
+`docs/reference/frames.md` has the frames.
 """
 
 import numpy as np

@@ -9,11 +9,13 @@ from typing import Any, Literal
 
 import numpy.typing as npt
 
-from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, Sample, SampleSink, Setup
-from service.drivers.sim_wire import CommandWriter, read_sample, task_of
+from service.drivers.base import DriverError, PoseTarget, Sample, SampleSink
+from service.drivers.sim_wire import CommandWriter, check_task, read_sample
 from service.faults import FaultCode
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire import records as wire
+from wire.law import ComplianceLaw, ControlLimits
+from wire.task import Task
 
 IDLE_TICKS = 500
 """Ticks without a command or an engaged arm after which time passes no faster than in reality: no core is burnt."""
@@ -51,14 +53,14 @@ class InProcessDriver:
         if self._task is None:
             self._task = asyncio.create_task(self._let_time_pass(), name="lockstep")
 
-    async def prepare(self, setup: Setup) -> None:
+    async def prepare(self, task: Task | None) -> None:
         try:
-            self._cell.reset(task_of(setup))
+            self._cell.reset(check_task(task))
         except ValueError as error:
             raise DriverError(FaultCode.PROTOCOL, str(error)) from error
         self._quiet_ticks = 0
 
-    def engage(self, law: ComplianceLaw, limits: Limits) -> None:
+    def engage(self, law: ComplianceLaw, limits: ControlLimits) -> None:
         self._pending.append(self._commands.engage(law, limits))
 
     def send_target(self, target: PoseTarget) -> int:

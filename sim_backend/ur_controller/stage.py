@@ -1,6 +1,6 @@
 """What surrounds the emulated robot, over Zenoh: the episode, the truth, the camera, and the panel a person stands at.
 
-The arm itself speaks UR's protocols only. Keys and records stand in `docs/wire.md`.
+The arm itself speaks UR's protocols only. Keys and records stand in `docs/reference/wire.md`.
 """
 
 import json

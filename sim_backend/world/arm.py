@@ -5,8 +5,6 @@ ceiling, age of the target, joint range, distance from singularities, and a prot
 program and the robot do the same; these limits are the inner layer below the service's.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
@@ -15,6 +13,7 @@ from sim_backend.world.compliance import Law, Reference, advance
 from sim_backend.world.servo import JointServo
 from wire import pose
 from wire.arrays import CellIndices, FloatArray
+from wire.law import ControlLimits
 from wire.records import TICK_S, Program, StopReason
 
 KINEMATICS_TICKS = 20
@@ -30,25 +29,6 @@ MIN_PROTECTIVE_STOP_S = 5.0
 
 _STEP = kinematics.JOINT_SPEED_RAD_S * TICK_S
 _NOT_SATURATED = np.bool_(False)
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """What the control program enforces by itself; scalars, shared by the arms that are engaged with them.
-
-    Attributes:
-        max_speed: m/s and rad/s of the reference.
-        max_step: m and rad between consecutive targets.
-        workspace: (2, 3) corners of the box for the TCP's position, m.
-        force_ceiling_n: resultant of the compensated force at which the program stops.
-        target_age_s: time without a new target after which it stops.
-    """
-
-    max_speed: tuple[float, float] = (0.1, 3.0)
-    max_step: tuple[float, float] = (0.012, 0.30)
-    workspace: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0.15, -0.26, 0.01), (0.45, 0.04, 0.40))
-    force_ceiling_n: float = 30.0
-    target_age_s: float = 0.5
 
 
 class ArmController:
@@ -108,7 +88,7 @@ class ArmController:
         self._phase[cells] = 0
 
     def engage(
-        self, cells: CellIndices, stiffness: FloatArray, damping: FloatArray, inertia: FloatArray, limits: Limits
+        self, cells: CellIndices, stiffness: FloatArray, damping: FloatArray, inertia: FloatArray, limits: ControlLimits
     ) -> npt.NDArray[np.bool_]:
         """Start the control program with the present reference as the target.
 

@@ -7,7 +7,7 @@ says that the environment does to the tool. The reference is what the position-c
 rotation are about the TCP, the peg's tip, so a corner that catches turns the peg about its tip and does not drag it
 sideways.
 It needs nothing but the pose, the compensated wrench and position commands: any UR controller can run it. Why this law
-and not joint torques or `force_mode`: `docs/decisions/0004-admittance.md`.
+and not joint torques or `force_mode`: `docs/explanation/decisions/0004-admittance.md`.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What varies from episode to episode, and how: the standard conditions, written out in `docs/conditions.md`.
+"""What varies from episode to episode, and how: the standard conditions, written out in `docs/reference/conditions.md`.
 
 Where the paper is silent the values come from its author's code and logs. One seed draws one episode, in a fixed order,
 so that a seed means the same world in training, in a test and through the deployed service.

@@ -1,9 +1,9 @@
 """The scene: a UR3e with a gripper and a peg above a block with a hole, built with MuJoCo's `MjSpec`.
 
-Frames as in `docs/architecture.md`. The arm's bodies stand in its Denavit–Hartenberg frames, so MuJoCo's joint angles
-are the controller's. The hole is one box slab per wall, each on the outer side of its face: the hole is the
-intersection of the inner half-spaces, exactly, at any clearance. Only the peg touches the block, its floor and the
-table.
+`docs/reference/frames.md` defines the frames. The arm's bodies stand in its Denavit–Hartenberg frames, so
+MuJoCo's joint angles are the controller's. The hole is one box slab per wall, each on the outer side of its face: the
+hole is the intersection of the inner half-spaces, exactly, at any clearance. Only the peg touches the block, its floor
+and the table.
 """
 
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ JOINT_DAMPING_RATIO = 1.0
 
 CONTACT_TIME_S = 12e-3
 """Nominal time constant of contact; a simulation may have another. Where it is shorter, a jammed peg goes on vibrating
-under a stopped arm: figures in docs/conditions.md."""
+under a stopped arm: figures in docs/reference/conditions.md."""
 _CONTACT = {"solref": [CONTACT_TIME_S, 1.0], "solimp": [0.95, 0.99, 0.0005, 0.5, 2.0]}
 
 

@@ -12,13 +12,14 @@ import numpy.typing as npt
 from mujoco.batch import Batch
 
 from sim_backend.world import kinematics, scene
-from sim_backend.world.arm import ArmController, Limits
+from sim_backend.world.arm import ArmController
 from sim_backend.world.conditions import CAMERA_FRAMES, Episode, draw
 from sim_backend.world.parts import HOLE_DEPTH_M, hole_walls, wall_centres
 from sim_backend.world.sensor import ForceTorqueSensor
 from sim_backend.world.servo import gains
 from wire import pose
 from wire.arrays import CellIndices, FloatArray
+from wire.law import ControlLimits
 from wire.records import StopReason
 from wire.task import Part, Task
 
@@ -173,7 +174,7 @@ class World:
         self.sensor.zero(cells)
 
     def engage(
-        self, cells: CellIndices, stiffness: FloatArray, damping: FloatArray, inertia: FloatArray, limits: Limits
+        self, cells: CellIndices, stiffness: FloatArray, damping: FloatArray, inertia: FloatArray, limits: ControlLimits
     ) -> npt.NDArray[np.bool_]:
         """Start the control programs; the plant's stiffness error applies. Returns (k,) which were engaged."""
         scaled = np.broadcast_to(stiffness, (len(cells), 6)) * self._stiffness_scale[cells, None]

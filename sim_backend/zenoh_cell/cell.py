@@ -7,10 +7,10 @@ import mujoco
 import numpy as np
 
 from sim_backend.world import quaternion
-from sim_backend.world.arm import Limits
 from sim_backend.world.world import World
 from wire import pose
 from wire.arrays import RecordArray
+from wire.law import ControlLimits
 from wire.records import STATE, TICK_S, Kind, Program, StopReason, new
 from wire.rtde.modes import RobotMode, SafetyMode
 from wire.task import Part, Task
@@ -140,7 +140,7 @@ class SimulatedCell:
             arm.stop(_ONLY, StopReason.LEASE)
             return
         lower, upper = (tuple(float(x) for x in corner) for corner in command["workspace"])
-        limits = Limits(
+        limits = ControlLimits(
             max_speed=(float(command["max_speed"][0]), float(command["max_speed"][1])),
             max_step=(float(command["max_step"][0]), float(command["max_step"][1])),
             workspace=((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])),

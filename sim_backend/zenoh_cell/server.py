@@ -28,7 +28,7 @@ MAX_COMMANDS_PER_TICK = 32
 _QUERIES = {"advance": keys.ADVANCE, "reset": keys.RESET, "info": keys.INFO, "truth": keys.TRUTH}
 
 
-class Mode(StrEnum):
+class Pace(StrEnum):
     """Who lets simulated time pass."""
 
     REAL_TIME = "real-time"
@@ -80,7 +80,7 @@ class Server:
     """Serves one world under `sim/<world>/`; the thread that calls `run` owns the cell."""
 
     def __init__(
-        self, cell: SimulatedCell, session: zenoh.Session, world: str, mode: Mode, degraded: Sequence[str] = ()
+        self, cell: SimulatedCell, session: zenoh.Session, world: str, mode: Pace, degraded: Sequence[str] = ()
     ) -> None:
         """Declare the keys.
 
@@ -100,7 +100,7 @@ class Server:
         self._degraded = list(degraded)
         self._keys = query_keys(world, _QUERIES)
         self._queries = session.declare_queryable(f"sim/{world}/*", zenoh.handlers.FifoChannel(_QUERY_CAPACITY))
-        if mode is Mode.REAL_TIME:
+        if mode is Pace.REAL_TIME:
             self._commands = session.declare_subscriber(
                 keys.COMMAND.format(world=world), zenoh.handlers.FifoChannel(_COMMAND_CAPACITY)
             )
@@ -114,14 +114,14 @@ class Server:
     def run(self) -> NoReturn:
         """Serve until an exception, such as a signal handler's SystemExit, ends it; nothing is served afterwards."""
         try:
-            if self._mode is Mode.REAL_TIME:
+            if self._mode is Pace.REAL_TIME:
                 self._run_in_real_time()
             while True:
                 self._answer(self._queries.recv())
         finally:
             # A Zenoh thread that waits at a full channel would hold up the session's end for ten seconds.
             self._queries.undeclare()
-            if self._mode is Mode.REAL_TIME:
+            if self._mode is Pace.REAL_TIME:
                 self._commands.undeclare()
 
     def _run_in_real_time(self) -> NoReturn:
@@ -181,14 +181,14 @@ class Server:
     def _carry_out(self, name: str, query: zenoh.Query) -> bytes:
         payload = query.payload.to_bytes() if query.payload is not None else b""
         if name == "reset":
-            if self._mode is Mode.REAL_TIME:
+            if self._mode is Pace.REAL_TIME:
                 self.counters.commands_dropped += len(self._take_commands())  # meant for the episode that ends here
             return answers.reset(self._cell, payload)
         if name == "truth":
             return answers.truth(self._cell)
         if name == "info":
             return self._info()
-        if self._mode is Mode.REAL_TIME:
+        if self._mode is Pace.REAL_TIME:
             raise answers.RequestError("advance: this world runs in real time and lets its time pass by itself")
         reply = answers.advance(self._cell, str(query.parameters), payload)
         self.counters.ticks += len(reply) // wire.STATE.itemsize

@@ -23,7 +23,7 @@ def operations(document: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 
 def test_the_document_is_the_committed_one(document: dict[str, Any]) -> None:
     assert document == json.loads(SNAPSHOT.read_text()), (
-        f"the HTTP interface changed: raise api.application.VERSION if clients must know, then run `{UPDATE}`"
+        f"the HTTP interface changed: run `{UPDATE}` and write the change into CHANGELOG.md"
     )
 
 

@@ -3,7 +3,7 @@ from pathlib import Path
 
 from service.faults import FaultCode
 
-PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
+PAGE = Path(__file__).parents[2] / "docs/reference/faults.md"
 
 
 def test_every_code_is_documented_once_and_none_that_does_not_exist() -> None:

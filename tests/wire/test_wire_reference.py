@@ -1,4 +1,4 @@
-"""`docs/wire.md` says what the code does: layouts, numbers, keys, task."""
+"""`docs/reference/wire.md` says what the code does: layouts, numbers, keys, task."""
 
 import dataclasses
 import json
@@ -16,13 +16,13 @@ from sim_backend.zenoh_cell import answers, server
 from wire import keys, task
 from wire import records as wire
 
-DOCUMENT = (Path(__file__).parents[2] / "docs" / "wire.md").read_text(encoding="utf-8")
+DOCUMENT = (Path(__file__).parents[2] / "docs/reference/wire.md").read_text(encoding="utf-8")
 
 
 def section(heading: str) -> str:
     """Text from a heading whose title starts with `heading` to the next heading."""
     match = re.search(rf"^#+ {heading}\b.*?$(.*?)(?=^#|\Z)", DOCUMENT, re.M | re.S)
-    assert match is not None, f"docs/wire.md has no section {heading}"
+    assert match is not None, f"docs/reference/wire.md has no section {heading}"
     return match[0]
 
 

@@ -10,7 +10,6 @@ from typing import Annotated, Any, cast, get_args
 import typer
 
 from service.policy.model import Policy, PolicyError
-from service.safety import dsl
 from training.commands.refusal import refuse, refuse_without_extra
 from training.environment import design
 from training.environment.reward import RewardName
@@ -30,7 +29,7 @@ from training.evaluation.results import (
     exclusive,
 )
 from training.report import paper
-from wire.limits import FORCE_HARD_MAXIMUM_N
+from wire.limits import FORCE_HARD_MAXIMUM_N, LockMode
 from wire.task import Conditions, Part, Task
 
 DEFAULT_CLEARANCES_MM = (2.0, 1.33, 0.33)
@@ -71,8 +70,8 @@ def evaluate(
     workers = workers or (1 if through == "rtde" else len(os.sched_getaffinity(0)))
     if lock and through != "environment":
         refuse("evaluate", "the service runs a policy under its own lock: --lock goes with --through environment")
-    if lock and lock not in get_args(dsl.Mode):
-        refuse("evaluate", f"--lock must be one of {', '.join(get_args(dsl.Mode))}, not {lock!r}")
+    if lock and lock not in get_args(LockMode):
+        refuse("evaluate", f"--lock must be one of {', '.join(get_args(LockMode))}, not {lock!r}")
     try:
         policy = Policy.load(model)
         settings = _settings(

@@ -3,10 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from service.policy.contract import ActionEntry, ComplianceLaw, ObservationEntry, PolicyContract
-from service.policy.observation import ENTRIES, Mode, Need
-from service.safety import dsl
+from service.policy.contract import ActionEntry, ObservationEntry, PolicyContract
+from service.policy.observation import ENTRIES, Need, ObservationMode
 from service.safety.dsl import DslParameters
+from wire.law import ComplianceLaw
+from wire.limits import LockMode
 from wire.task import Conditions, Part
 
 LAW = ComplianceLaw(
@@ -18,8 +19,6 @@ LAW = ComplianceLaw(
 
 LOCK = DslParameters(mode="paper", seek_step_m=3e-3)
 """The paper's lock. Its increment presses with stiffness times increment, 9 N, where contact counts from 5 N."""
-PECK_PRESS_M = 3e-3
-"""How far a peck goes below the record: 9 N by `LAW`. On the paper's stiffer arm it was 1 mm."""
 
 MAX_STEPS = 110
 
@@ -49,8 +48,8 @@ _DONE = (
 
 
 def contract_for(
-    mode: Mode = "VFTM",
-    lock: dsl.Mode | None = None,
+    mode: ObservationMode = "VFTM",
+    lock: LockMode | None = None,
     part: Part | Sequence[Part] = "tr",
     *,
     clearance_m: tuple[float, float] = (0.25e-3, 4e-3),
@@ -89,8 +88,8 @@ def contract_for(
             for entry in _SEEN
             if mode != "VM" or Need.FORCE_TORQUE not in ENTRIES[entry.name].needs
         ),
-        action=tuple(entry for entry in _DONE if lock != "peck" or entry.name != "dz"),
-        dsl=replace(LOCK, mode=lock, press_m=PECK_PRESS_M if lock == "peck" else LOCK.press_m),
+        action=_DONE,
+        dsl=replace(LOCK, mode=lock),
         compliance=law,
         wrench_window_ticks=25,
         hidden_size=hidden_size,
@@ -126,7 +125,7 @@ def adjusted(
     return PolicyContract.model_validate(document)
 
 
-def check_conditions(mode: Mode, conditions: Conditions) -> None:
+def check_conditions(mode: ObservationMode, conditions: Conditions) -> None:
     """Raise ValueError for conditions that put the hole beyond what a policy of this mode can know of it."""
     if mode == "FTM" and conditions in ("standard", "stiff", "transfer"):
         raise ValueError(f"conditions {conditions!r} put the hole too far from the nominal centre, all that FTM knows")

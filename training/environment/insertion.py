@@ -5,26 +5,25 @@ to learn from, and `training.evaluation.evaluate` plays whole episodes on it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from service.policy.contract import PolicyContract
-from service.policy.observation import Measurement
-from service.safety import bounds, dsl
+from service.policy.step import PolicyStep, Seen, command_bounds
 from service.safety.pose import rotate, rotvec_from_yaw, wrap, yaw_and_tilt
 from sim_backend.world import quaternion
-from sim_backend.world.arm import Limits
 from sim_backend.world.scene import NOMINAL_HOLE_M
 from sim_backend.world.world import START_YAW_RAD, World
 from training.environment import reward
 from training.environment.reward import RewardName, Situation
 from wire import pose
-from wire.arrays import BoolArray, CellIndices, FloatArray
-from wire.limits import TILT_RAD, TORQUE_CEILING_NM, YAW_HALF_RANGE_RAD
-from wire.records import TICK_S, Program
+from wire.arrays import BoolArray, CellIndices, Float32Array, FloatArray
+from wire.law import ControlLimits
+from wire.limits import FORCE_CEILING_N, TILT_RAD, TORQUE_CEILING_NM, WORKSPACE_M
+from wire.records import Program
 from wire.task import Part, Task
 
 SUCCESS_DEPTH_M = 2.5e-3
@@ -40,7 +39,7 @@ SLIP_SIGMA_M = 1.5e-3
 SLIP_YAW_RAD = float(np.deg2rad(60))
 SLIP_DEPTH_M = 1e-4
 """A hole slips only while the peg is less deep in it."""
-LIMITS = Limits()
+LIMITS = ControlLimits(WORKSPACE_M, FORCE_CEILING_N)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +95,7 @@ class Insertions:
         n: int,
         part: Part = "tr",
         threads: int = 1,
-        force_ceiling_n: float = 30.0,
+        force_ceiling_n: float = FORCE_CEILING_N,
         reward_name: RewardName = "potential",
         force_cost_per_n: float = reward.FORCE_COST_PER_N,
         slips: float = 0.0,
@@ -112,33 +111,38 @@ class Insertions:
         self._slip = np.zeros((n, 3))
         self._misreads = misreads
         self._torque_read = np.ones(n)
-        self._limits = Limits(force_ceiling_n=force_ceiling_n)
+        self._limits = ControlLimits(WORKSPACE_M, force_ceiling_n)
         law = contract.compliance
         self._law = np.array(law.stiffness), np.array(law.damping), np.array(law.inertia)
-        self._lock = contract.dsl
-        self._actions = contract.action_map()
-        self._builder = contract.observation_builder()
-        self._bounds = command_bounds(contract.ticks_per_step, self._limits)
-        self._memory = self._builder.begin((n,))
-        self._lock_state = dsl.DslState.begin((n,), LIMITS.workspace[0][2])
+        limits = command_bounds(self._limits, contract.period_s, START_YAW_RAD, tilt_rad=TILT_RAD)
+        self._policy_step = PolicyStep(contract, limits)
+        self._state = self._policy_step.begin(np.zeros((n, 3)), np.zeros(n))
         self._window = np.zeros((contract.ticks_per_step, n, 6))
-        self._target_position, self._target_yaw = np.zeros((n, 3)), np.zeros(n)
-        self._tilt = np.zeros((n, 2))
-        self._previous_action = np.zeros((n, 4))
         self._potential = np.zeros(n)
         self._nominal = np.broadcast_to(np.array(NOMINAL_HOLE_M), (n, 3))
         self._start_yaw = np.full(n, START_YAW_RAD)
         self.steps = np.zeros(n, np.int64)
         self.peak_force = np.zeros(n)
-        self.observation = np.zeros((n, self._builder.size), np.float32)
+        self.observation = np.zeros((n, self._policy_step.observation_size), np.float32)
+        self._seen = self._see()
 
     @property
     def observation_size(self) -> int:
-        return self._builder.size
+        return self._policy_step.observation_size
 
     @property
     def action_size(self) -> int:
-        return self._actions.size
+        return self._policy_step.actions.size
+
+    @property
+    def target_position(self) -> FloatArray:
+        """(n, 3) m, the command in force."""
+        return self._state.target_position
+
+    @property
+    def target_yaw(self) -> FloatArray:
+        """(n,) rad, the command in force."""
+        return self._state.target_yaw
 
     def reset(self, cells: CellIndices, tasks: Sequence[Task]) -> npt.NDArray[np.float32]:
         """Begin new episodes in `cells` (k,): the scripted approach has ended above where the hole is thought to be.
@@ -158,39 +162,20 @@ class Insertions:
         world.engage(cells, *self._law, self._limits)
         mask = np.zeros(self.n, np.bool_)
         mask[cells] = True
-        self._memory = self._memory.reset(mask)
-        self._lock_state = self._lock_state.reset(mask)
         self._window[:, cells] = 0.0  # a cell has felt noise by then; nothing here can feel while other cells stand
-        self._previous_action[cells] = 0.0
-        self._target_position[cells] = world.position[cells]
-        self._target_yaw[cells] = pose.yaw_of(world.rotation[cells])
+        self._state = self._state.reset(mask, world.position, np.asarray(pose.yaw_of(world.rotation)))
         self.steps[cells] = 0
         self.peak_force[cells] = 0.0
         self._shape_anew(cells)
-        self._memory, seen = self._builder.build(self._memory, self._measure(), mask)
-        self.observation = np.where(mask[:, None], seen, self.observation)
+        self.observation = np.where(mask[:, None], self._observe(mask), self.observation)
         return self.observation
 
     def step(self, action: npt.ArrayLike) -> Outcome:
         """One policy step of every cell, also of those that have ended; `action` (n, action size) in [-1, 1]."""
         world, contract = self.world, self.contract
         self._slip_holes()
-        action = np.asarray(action, np.float64)
-        yaw = np.asarray(pose.yaw_of(world.rotation))
-        wrench = self._window[-contract.wrench_window_ticks :].mean(0)
-        displacement = self._actions.displacement(action, yaw)
-        self._lock_state, locked = dsl.step(self._lock, self._lock_state, world.position, wrench, displacement)
-        bounded = bounds.apply(
-            self._bounds,
-            world.position,
-            yaw,
-            locked.position,
-            yaw + locked.dyaw,
-            self._target_position,
-            self._target_yaw,
-            np.linalg.norm(self._tilt, axis=-1),
-        )
-        self._target_position, self._target_yaw = bounded.position, bounded.yaw
+        self._state, decision = self._policy_step.act(self._state, self._seen, np.asarray(action, np.float64))
+        locked, bounded = decision.locked, decision.bounded
         turn = quaternion.from_rotvec(rotvec_from_yaw(bounded.yaw))
         everyone = np.arange(self.n)
         world.arm.set_target(everyone, bounded.position, turn)
@@ -200,8 +185,7 @@ class Insertions:
         force = np.sqrt((self._window[..., :3] ** 2).sum(-1)).max(0)
         np.maximum(self.peak_force, force, out=self.peak_force)
         self.steps += 1
-        self._previous_action = self._actions.unit(action)
-        self._memory, self.observation = self._builder.build(self._memory, self._measure())
+        self.observation = self._observe()
 
         torque = np.sqrt((self._window[..., 3:] ** 2).sum(-1)).max(0)
         fault = (world.arm.program != Program.ENGAGED) | bounded.tilt | (torque >= TORQUE_CEILING_NM)
@@ -289,48 +273,29 @@ class Insertions:
     def _situation(self, success: BoolArray, fault: BoolArray) -> Situation:
         return Situation(self.world.offset, self._yaw_error(), self.world.depth, self.peak_force, success, fault)
 
-    def _measure(self) -> Measurement:
-        world = self.world
-        _, self._tilt = yaw_and_tilt(pose.rotvec_from_rotation(world.rotation))
-        window = self._window
-        if self._misreads:
-            window = window.copy()
+    def _observe(self, mask: BoolArray | None = None) -> Float32Array:
+        self._seen = self._see()
+        read = self._seen
+        if self._misreads:  # the policy reads it wrongly, the lock does not
+            window = read.wrench_window.copy()
             window[..., 5] *= self._torque_read
-        return Measurement(
+            read = replace(read, wrench_window=window)
+        self._state, observation = self._policy_step.observe(self._state, read, mask)
+        return observation
+
+    def _see(self) -> Seen:
+        world = self.world
+        _, tilt = yaw_and_tilt(pose.rotvec_from_rotation(world.rotation))
+        return Seen(
             position=world.position,
             yaw=np.asarray(pose.yaw_of(world.rotation)),
-            tilt=self._tilt,
-            wrench_window=window,
+            tilt=tilt,
+            wrench_window=self._window,
             hole_estimate=world.estimate,
             nominal_hole=self._nominal,
-            target_position=self._target_position,
-            target_yaw=self._target_yaw,
             start_yaw=self._start_yaw,
-            z_lock=self._lock_state.z_lock,
-            contact_z=self._lock_state.z_contact0,
-            phase=self._lock_state.phase,
-            previous_action=self._previous_action,
             last_joint=world.joints[:, 5],
         )
-
-
-def command_bounds(ticks_per_step: int, limits: Limits) -> bounds.BoundsParameters:
-    """The service's command bounds, at the limits that the arm's own program has and a cell's defaults."""
-    lower, upper = limits.workspace
-    return bounds.BoundsParameters(
-        period_s=ticks_per_step * TICK_S,
-        step_m=limits.max_step[0],
-        step_rad=limits.max_step[1],
-        speed_mps=limits.max_speed[0],
-        speed_radps=limits.max_speed[1],
-        leash_m=limits.max_step[0],
-        leash_rad=limits.max_step[1],
-        workspace_lower=lower,
-        workspace_upper=upper,
-        yaw_centre_rad=START_YAW_RAD,
-        yaw_half_range_rad=YAW_HALF_RANGE_RAD,
-        tilt_rad=TILT_RAD,
-    )
 
 
 def info_of(outcome: Outcome) -> dict[str, Any]:

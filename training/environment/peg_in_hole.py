@@ -1,6 +1,6 @@
 """Gymnasium environments of the insertion: `PegInHoleEnv` for one cell, `PegInHoleVectorEnv` for many.
 
-Both are thin: `training.environment.insertion.Insertions` does the work. `docs/training.md` explains their use.
+Both are thin: `training.environment.insertion.Insertions` does the work. `docs/reference/environment.md` explains them.
 """
 
 from collections.abc import Sequence
@@ -15,13 +15,12 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from service.policy.contract import PolicyContract
-from service.policy.observation import Mode
-from service.safety import dsl
+from service.policy.observation import ObservationMode
 from training.environment import design
 from training.environment.episodes import TaskSource
 from training.environment.insertion import Insertions, Outcome, info_of
 from training.environment.reward import RewardName
-from wire.limits import FORCE_HARD_MAXIMUM_N
+from wire.limits import FORCE_HARD_MAXIMUM_N, LockMode
 from wire.task import Conditions, Part, Task
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ class Settings(TypedDict, total=False):
     Attributes:
         mode: observation mode. VFTM (default): the hole's estimate and the contact; FTM: the nominal centre and the
             contact; VM: the estimate alone.
-        lock: `paper` (default), `peck`, `sliding` or `off`, the only one that VM has.
+        lock: `paper` (default), `sliding` or `off`, the only one that VM has.
         part: peg and hole; default `tr`.
         clearance_m: clearance per face, m; one value (default 2 mm) or a range to draw from.
         reward: `potential` (default) or `paper`.
@@ -54,8 +53,8 @@ class Settings(TypedDict, total=False):
         max_episode_steps: largest number of steps of an episode; default 110.
     """
 
-    mode: Mode
-    lock: dsl.Mode | None
+    mode: ObservationMode
+    lock: LockMode | None
     part: Part
     clearance_m: float | tuple[float, float]
     reward: RewardName

@@ -16,6 +16,7 @@ from service.policy.model import Policy
 from training.environment.insertion import Insertions
 from training.environment.reward import RewardName
 from training.evaluation.results import Block, EpisodeResult, Setting
+from wire.limits import FORCE_CEILING_N
 from wire.task import Conditions, Part, Task
 
 FIRST_TEST_SEED = 2_000_000
@@ -55,7 +56,7 @@ def evaluate(
     first_seed: int = FIRST_TEST_SEED,
     cells: int = 100,
     threads: int = 0,
-    force_ceiling_n: float = 30.0,
+    force_ceiling_n: float = FORCE_CEILING_N,
     reward_name: RewardName = "potential",
 ) -> Block:
     """Play `episodes` episodes, with seeds from `first_seed` up, one after another in each of `cells` cells.
@@ -165,7 +166,7 @@ def with_lock(contract: PolicyContract, setting: Setting) -> PolicyContract:
     """Return the contract under the setting's lock, for which the policy may not have been trained.
 
     Raises:
-        ValueError: a policy with a z of its own under `peck`, or without one under another lock.
+        ValueError: the contract does not go together with the lock, as mode VM with any but `off`.
     """
     if setting.lock == contract.dsl.mode:
         return contract

@@ -25,10 +25,10 @@ from pydantic import (
 )
 
 from service.policy.contract import EvaluationFigure
-from service.policy.observation import Mode
-from service.safety import dsl
+from service.policy.observation import ObservationMode
 from training import files
 from training.environment.reward import RewardName
+from wire.limits import LockMode
 from wire.task import Conditions, Part
 
 RESULTS = Path("results")
@@ -99,7 +99,7 @@ class Setting:
     Attributes:
         part: peg and hole.
         clearance_m: clearance per face.
-        conditions: distributions of an episode, `docs/conditions.md`.
+        conditions: distributions of an episode, `docs/reference/conditions.md`.
         lock: lock that it ran with; the contract's own unless another one was put in its place.
         through: player of the episodes.
         reward: reward whose sums are the returns.
@@ -110,7 +110,7 @@ class Setting:
     part: Part
     clearance_m: float
     conditions: Conditions
-    lock: dsl.Mode
+    lock: LockMode
     through: Through = "environment"
     reward: RewardName = "paper"
     force_ceiling_n: float = CEILING_N
@@ -318,8 +318,8 @@ class Results(Section):
     sha256: str
     sources: str
     deployed_sources: str | None = None
-    mode: Mode
-    lock: dsl.Mode
+    mode: ObservationMode
+    lock: LockMode
     period_s: float
     max_steps: int
     stiffness: tuple[float, float, float, float, float, float]

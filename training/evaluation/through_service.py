@@ -204,7 +204,7 @@ def _configuration(
             "start_yaw_rad": START_YAW_RAD,
             "nominal_hole_m": NOMINAL_HOLE_M,
             "conditions": setting.conditions,
-            "allow_lock": ["paper", "peck", "sliding", "off"],  # a measurement, not a cell at work
+            "allow_lock": ["paper", "sliding", "off"],  # a measurement, not a cell at work
             "retract": False,  # so that the end of the run can be looked at
         }
         | ({} if sha256 is None else {"policy_sha256": sha256}),

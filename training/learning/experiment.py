@@ -1,6 +1,6 @@
 """An experiment: everything that decides the outcome of a training, as one TOML file in `training/experiments/`.
 
-`docs/training.md` explains how to write one.
+`docs/reference/experiment-file.md` explains how to write one.
 """
 
 import math
@@ -10,12 +10,12 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from service.policy.contract import ComplianceLaw, PolicyContract
-from service.policy.observation import Mode
-from service.safety import dsl
+from service.policy.contract import PolicyContract
+from service.policy.observation import ObservationMode
 from training.environment import design
 from training.environment.reward import FORCE_COST_PER_N, RewardName
-from wire.limits import FORCE_HARD_MAXIMUM_N
+from wire.law import ComplianceLaw
+from wire.limits import FORCE_HARD_MAXIMUM_N, LockMode
 from wire.task import Conditions, Part, Task
 
 FOLDER = Path(__file__).parents[1] / "experiments"
@@ -40,10 +40,10 @@ class TaskSection(Section):
     Attributes:
         mode: observation mode. VFTM: the hole's estimate and the contact; FTM: the nominal centre and the contact;
             VM: the estimate alone.
-        lock: how the depth is limited: `paper`, `peck`, `sliding` or `off`, the only one that VM has.
+        lock: how the depth is limited: `paper`, `sliding` or `off`, the only one that VM has.
         parts: pegs and holes; each gets the same number of workers.
         clearance_mm: range of clearances per face to draw from; tight ones are drawn more often.
-        conditions: distributions of an episode, see `docs/conditions.md`.
+        conditions: distributions of an episode, see `docs/reference/conditions.md`.
         randomise_plant: friction, stiffness, delay and mass vary.
         slips: share of the training episodes in which the hole slips once to another place and yaw.
         misreads: share of the training episodes in which the torque about z is scaled by a factor within ±1.
@@ -53,8 +53,8 @@ class TaskSection(Section):
         force_ceiling_n: resultant that ends an episode in a fault.
     """
 
-    mode: Mode = "VFTM"
-    lock: dsl.Mode = "paper"
+    mode: ObservationMode = "VFTM"
+    lock: LockMode = "paper"
     parts: Annotated[tuple[Part, ...], Field(min_length=1)] = ("tr",)
     clearance_mm: tuple[Positive, Positive]
     conditions: Conditions = "standard"

@@ -16,7 +16,6 @@ from pydantic import BaseModel, ConfigDict
 from service.policy.contract import EvaluationFigure, PolicyContract
 from service.policy.model import Policy
 from service.policy.observation import ENTRIES, Need
-from service.safety import dsl
 from training import files
 from training.evaluation.results import Block as Measurement
 from training.evaluation.results import Results, ResultsError
@@ -24,13 +23,14 @@ from training.report import accounts, pages, paper
 from training.report.document import Document, Heading, Judged, Paragraph, ReportBlock, Table
 from training.report.measured import NOT_MEASURED, Measured, commit_name, interval, mean_steps, peaks, percent
 from training.report.own_chapters import THROUGH
+from wire.limits import LockMode
 from wire.task import Part
 
 TITLE = "Models"
 PAGE = "models.md"
 GLANCE_MM = (1.33, 0.33)
 """Clearances per face of the first table: the paper's two gaps."""
-USUAL_LOCKS: tuple[dsl.Mode, ...] = ("paper", "peck")
+USUAL_LOCKS: tuple[LockMode, ...] = ("paper",)
 """Locks that a recipe runs without asking for them by `allow_lock`."""
 
 MODES = {
@@ -38,9 +38,8 @@ MODES = {
     "FTM": "knows the contact; for the hole stands its nominal centre",
     "VM": "knows the hole and nothing of the contact",
 }
-LOCKS: Mapping[dsl.Mode, str] = {
+LOCKS: Mapping[LockMode, str] = {
     "paper": "the paper's Algorithm 1, creeping down until contact and from there limiting how deep the policy may ask",
-    "peck": "creeps down until contact; from there it presses, feels and lifts, and the policy has no z",
     "sliding": "creeps down until contact; from there the policy owns z, and the lock limits nothing",
     "off": "the command is the policy's from the beginning",
 }
@@ -156,14 +155,14 @@ def _glance(cards: Sequence[Card]) -> Iterator[ReportBlock]:
     size = sum(card.size_bytes for card in cards) / 1e3
     yield Paragraph(
         f"The project ships {len(cards)} policies, {size:.0f} kB in all. `dsl-assembly report` writes this page from "
-        f"the contract in each file ([{pages.POLICY_CONTRACT}]({pages.POLICY_CONTRACT})) and from `results/`. Use and "
+        f"the contract in each file ([policy contract]({pages.POLICY_CONTRACT})) and from `results/`. Use and "
         "known weakness of a model are in `training/report/cards.toml`. Only results of the very file count."
     )
     yield Paragraph(
         "All results are from simulation. Policies are deterministic. Clearances are per face. Intervals are 95 % "
         "Wilson intervals. Peak force is the largest resultant over every 2 ms sample of an episode. "
-        f"[{pages.CONDITIONS}]({pages.CONDITIONS}) describes the named conditions. "
-        f"[{pages.RESULTS}]({pages.RESULTS}) compares the policies with the paper."
+        f"[Conditions]({pages.CONDITIONS}) describes the named conditions. "
+        f"[Results]({pages.RESULTS}) compares the policies with the paper."
     )
     yield Heading("All models")
     yield Paragraph(
@@ -276,8 +275,6 @@ def _limits(contract: PolicyContract) -> Iterator[ReportBlock]:
         )
     if lock.mode == "paper":
         text += f" A command may go {lock.press_m * 1e3:g} mm below the lock."
-    if lock.mode == "peck":
-        text += f" A press goes {lock.press_m * 1e3:g} mm below the lock."
     yield Paragraph(text)
     yield Table(
         ["compliance law about the TCP", "x", "y", "z", "about x", "about y", "about z"],

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from service.policy.observation import Mode
+from service.policy.observation import ObservationMode
 from training import files
 from training.evaluation.results import ResultsError
 
@@ -65,7 +65,7 @@ class Curve(CurveSection):
 
     experiment: str
     seed: int
-    mode: Mode
+    mode: ObservationMode
     start_from: str | None
     reward: str
     machine: str

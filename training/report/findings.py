@@ -58,8 +58,8 @@ def conditions() -> Iterator[ReportBlock]:
             ],
             [
                 "conditions",
-                f"The distributions `standard`, `search`, `stiff` and `transfer` are in "
-                f"[{pages.CONDITIONS}]({pages.CONDITIONS}).",
+                "The distributions `standard`, `search`, `stiff` and `transfer` are described in "
+                f"[conditions]({pages.CONDITIONS}).",
             ],
         ],
     )

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from service.safety import dsl
 from training.evaluation.evaluate import FIRST_TEST_SEED
 from training.evaluation.provenance import DIRTY
 from training.evaluation.results import Block, Results, Setting, Through
 from training.report import curves, paper
 from training.report.curves import Curve
+from wire.limits import LockMode
 from wire.task import Conditions, Part
 
 NOT_MEASURED = "not measured"
@@ -48,7 +48,7 @@ class Measured:
         part: Part = "tr",
         *,
         conditions: Conditions | None = None,
-        lock: dsl.Mode | None = None,
+        lock: LockMode | None = None,
         through: Through = "environment",
     ) -> Block | None:
         """Return the measurement of a policy on test seeds, at the standard ceiling, in the paper's reward; or None.

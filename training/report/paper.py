@@ -11,8 +11,8 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.policy.observation import Mode
-from service.safety import dsl
+from service.policy.observation import ObservationMode
+from wire.limits import LockMode
 from wire.task import Conditions, Part
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -163,7 +163,7 @@ class Locked(PaperSection):
 
     name: str
     results: str
-    lock: dsl.Mode | None = None
+    lock: LockMode | None = None
 
 
 class Force(PaperSection):
@@ -215,12 +215,12 @@ def metres(millimetres: float) -> float:
     return round(millimetres * 1e-3, 9)
 
 
-def conditions_for(mode: Mode) -> Conditions:
+def conditions_for(mode: ObservationMode) -> Conditions:
     """Return the standard conditions of a mode; FTM, which knows only the nominal centre, has a search domain."""
     return "search" if mode == "FTM" else "standard"
 
 
-def cells_of(plan: TablePlan, mode: Mode) -> list[tuple[Part, float, Conditions]]:
+def cells_of(plan: TablePlan, mode: ObservationMode) -> list[tuple[Part, float, Conditions]]:
     """Return the cells of a plan: part, clearance per face in m, conditions."""
     everything = comparison()
     if plan is TablePlan.TABLE_2:
@@ -233,7 +233,7 @@ def cells_of(plan: TablePlan, mode: Mode) -> list[tuple[Part, float, Conditions]
     return [("tr", metres(level), conditions_for(mode)) for level in levels]
 
 
-def reported(name: str, mode: Mode) -> list[tuple[Part, float, Conditions, dsl.Mode | None]]:
+def reported(name: str, mode: ObservationMode) -> list[tuple[Part, float, Conditions, LockMode | None]]:
     """Return the cells of all tables for the policy of this name: as `cells_of`, and the lock, None for its own."""
     everything = comparison()
     strength, transfer = everything.strength, everything.table_2
@@ -243,7 +243,7 @@ def reported(name: str, mode: Mode) -> list[tuple[Part, float, Conditions, dsl.M
         (TablePlan.TABLE_1, name in [row.ours for row in rows]),
         (TablePlan.TABLE_2, name in (transfer.results, *transfer.beside)),
     ]
-    found: list[tuple[Part, float, Conditions, dsl.Mode | None]] = [
+    found: list[tuple[Part, float, Conditions, LockMode | None]] = [
         (*cell, None) for plan, wanted in plans if wanted for cell in cells_of(plan, mode)
     ]
     if name == strength.results:

@@ -12,18 +12,21 @@ from collections.abc import Awaitable, Callable
 import structlog
 
 from service.config import CellConfig, UrSection
-from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, SampleSink, Setup
+from service.drivers.base import DriverError, PoseTarget, SampleSink
 from service.drivers.camera import Camera
 from service.drivers.stage import Stage
 from service.drivers.ur import gate, recovery
 from service.drivers.ur.dashboard import DashboardError
-from service.drivers.ur.link import Mode, UrLink
+from service.drivers.ur.link import UrLink
 from service.drivers.ur.program import ProgramError, render
 from service.drivers.ur.registers import Command
 from service.drivers.ur.samples import Package, SampleReader
 from service.faults import FaultCode
+from wire.law import ComplianceLaw, ControlLimits
+from wire.limits import TimeMode
 from wire.records import TICK_S, Program
 from wire.rtde.modes import RuntimeState
+from wire.task import Task
 
 FRESH_S = 1.0
 """Robot's time in which samples and camera frames of a world that was just laid out must come."""
@@ -66,14 +69,14 @@ class UrDriver:
         self,
         config: CellConfig,
         *,
-        mode: Mode = "real_time",
+        mode: TimeMode = "real_time",
         clock: Callable[[], float] = time.monotonic,
         camera: Camera | None = None,
         stage: Stage | None = None,
     ) -> None:
         if config.ur is None:
             raise ProgramError("the configuration has no [ur] section")
-        self.mode: Mode = mode
+        self.mode: TimeMode = mode
         self.name = f"{'emulated ' if config.ur.simulated else ''}UR controller at {config.ur.host}"
         self.simulated = stage is not None
         self.checks: tuple[gate.Check, ...] = ()
@@ -128,7 +131,7 @@ class UrDriver:
         self._proven = self._proven or facts.watchdog_s is not None
         self._sink = sink
 
-    async def prepare(self, setup: Setup) -> None:
+    async def prepare(self, task: Task | None) -> None:
         """Have the arm ready and the control program running, and lay out a simulated world.
 
         The gate is passed again, but for the sensor, which the run judges itself: when the connection was made the arm
@@ -137,7 +140,7 @@ class UrDriver:
         Raises:
             DriverError: AUTHORITY, the arm is not ours to move; PROTOCOL, a seed for a real arm.
         """
-        if self._stage is None and setup.seed is not None:
+        if self._stage is None and task is not None:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name} is real and has no seed: leave it out")
         facts = await gate.measure_program(self._link, self._ur, prove_watchdog=not self._proven)
         checks = gate.judge_program(facts, self._ur)
@@ -146,17 +149,17 @@ class UrDriver:
         self._note(checks)
         self._proven = self._proven or facts.watchdog_s is not None
         if self._stage is not None:
-            await self._lay_out(self._stage, setup)
+            await self._lay_out(self._stage, task)
 
-    def engage(self, law: ComplianceLaw, limits: Limits) -> None:
+    def engage(self, law: ComplianceLaw, limits: ControlLimits) -> None:
         self._link.outbox.put(
             Command.ENGAGE,
             (
-                *law.stiffness.tolist(),
-                *law.damping.tolist(),
-                *law.inertia.tolist(),
-                *law.max_speed.tolist(),
-                *limits.max_step.tolist(),
+                *law.stiffness,
+                *law.damping,
+                *law.inertia,
+                *limits.max_speed,
+                *limits.max_step,
                 limits.force_ceiling_n,
                 limits.target_age_s,
             ),
@@ -190,10 +193,10 @@ class UrDriver:
             if helper is not None:
                 await helper.close()
 
-    async def _lay_out(self, stage: Stage, setup: Setup) -> None:
+    async def _lay_out(self, stage: Stage, task: Task | None) -> None:
         """Last of all that precedes a run, so that nothing but the run comes between it and the seed's world."""
         self._episode = 0  # the old world's samples end
-        laid_out = await stage.lay_out(setup)
+        laid_out = await stage.lay_out(task)
         camera = self._camera
 
         def is_shown(package: Package) -> bool:

@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Callable, Generator
-from typing import Literal
 
 from service.config import UrSection
 from service.drivers.base import DriverError
@@ -20,12 +19,11 @@ from service.drivers.ur.samples import (
 )
 from service.drivers.ur.script_upload import UploadError, upload
 from service.faults import FaultCode
+from wire.limits import TimeMode
 from wire.records import Program
 from wire.rtde.codec import Decoded
 from wire.rtde.errors import Reason, RtdeError
 from wire.rtde.modes import RuntimeState
-
-Mode = Literal["real_time", "lockstep"]
 
 RATE_HZ = 500.0
 HEARTBEAT_TICKS = 5
@@ -71,7 +69,7 @@ class UrLink:
         self,
         ur: UrSection,
         program: ControlProgram,
-        mode: Mode,
+        mode: TimeMode,
         clock: Callable[[], float],
         on_package: Callable[[Package, float], None],
         on_lost: Callable[[FaultCode, str], None],

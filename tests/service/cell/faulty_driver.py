@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.cell.cell import Cell
-from service.drivers.base import ComplianceLaw, Driver, Limits, PoseTarget, Sample, SampleSink, Setup
+from service.drivers.base import Driver, PoseTarget, Sample, SampleSink
 from service.faults import FaultCode
+from wire.law import ComplianceLaw, ControlLimits
+from wire.task import Task
 
 AGAIN_TICKS = 50
 Spoil = Callable[[Sample], Sequence[Sample]]
@@ -72,10 +74,10 @@ class FaultyDriver:
         if self._sink is not None:
             self._sink.on_link_fault(code, text)
 
-    async def prepare(self, setup: Setup) -> None:
-        await self._driver.prepare(setup)
+    async def prepare(self, task: Task | None) -> None:
+        await self._driver.prepare(task)
 
-    def engage(self, law: ComplianceLaw, limits: Limits) -> None:
+    def engage(self, law: ComplianceLaw, limits: ControlLimits) -> None:
         self._note("engage")
         self._driver.engage(law, limits)
 

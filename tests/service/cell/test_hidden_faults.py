@@ -17,7 +17,7 @@ from service.cell.inference import InlineInference, OnAction, OnFailure
 from service.cell.journal import Journal
 from service.cell.path import StraightPath
 from service.cell.records import TickRecord
-from service.drivers.base import Driver, DriverError, PoseTarget, Program, SampleSink, Setup
+from service.drivers.base import Driver, DriverError, PoseTarget, Program, SampleSink
 from service.faults import FaultCode
 from service.messages import (
     CellState,
@@ -211,11 +211,11 @@ async def test_an_arm_that_stays_engaged_is_stopped_again_and_again_and_no_reset
 class Preparing(FaultyDriver):
     """Takes its time to lay out a world; samples go on meanwhile."""
 
-    async def prepare(self, setup: Setup) -> None:
+    async def prepare(self, task: Task | None) -> None:
         end = self.clock() + 3.0
         while self.clock() < end:
             await asyncio.sleep(0)
-        await super().prepare(setup)
+        await super().prepare(task)
 
 
 @asynccontextmanager

@@ -10,14 +10,17 @@ from service.cell.plan import Plan, plan_insertion
 from service.config import load
 from service.policy.contract import PolicyContract
 from service.policy.model import Policy
+from service.policy.step import command_bounds
 from service.safety.bounds import BoundsParameters
-from sim_backend.world.arm import Limits
 from sim_backend.world.scene import NOMINAL_HOLE_M
 from sim_backend.world.world import START_POSITION_M, START_YAW_RAD
 from training.environment.design import vftm_dsl
-from training.environment.insertion import Insertions, command_bounds
+from training.environment.insertion import Insertions
+from wire.law import ControlLimits
+from wire.limits import FORCE_CEILING_N, WORKSPACE_M
 from wire.records import TICK_S
 
+OF_TRAINING = ControlLimits(WORKSPACE_M, FORCE_CEILING_N)
 SHIPPED = load(Path(__file__).parents[3] / "config" / "cell.toml")
 NAME, RECIPE = next(iter(SHIPPED.recipes.items()))
 
@@ -42,19 +45,19 @@ def test_the_compliance_law_is_the_one_of_training(plan: Plan, trained: Insertio
     assert (plan.law.stiffness == stiffness).all()
     assert (plan.law.damping == damping).all()
     assert (plan.law.inertia == inertia).all()
-    assert tuple(plan.law.max_speed) == trained._limits.max_speed == Limits().max_speed
+    assert plan.limits.max_speed == trained._limits.max_speed == OF_TRAINING.max_speed
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(BoundsParameters) if field.name != "tilt_rad"])
 def test_a_command_is_bounded_as_in_training(plan: Plan, trained: Insertions, name: str) -> None:
     # The tilt bounds no command: the cell stops for it, and a trained policy does not reach it
-    assert getattr(plan.bounds, name) == pytest.approx(getattr(trained._bounds, name), abs=0.0)
+    assert getattr(plan.step.bounds, name) == pytest.approx(getattr(trained._policy_step.bounds, name), abs=0.0)
 
 
 def test_the_bounds_of_training_are_those_of_the_arms_own_program(contract: PolicyContract) -> None:
-    bounds = command_bounds(contract.ticks_per_step, Limits())
-    assert (bounds.step_m, bounds.step_rad) == Limits().max_step
-    assert (bounds.speed_mps, bounds.speed_radps) == Limits().max_speed
+    bounds = command_bounds(OF_TRAINING, contract.period_s, 0.0)
+    assert (bounds.step_m, bounds.step_rad) == OF_TRAINING.max_step
+    assert (bounds.speed_mps, bounds.speed_radps) == OF_TRAINING.max_speed
 
 
 def test_the_arms_own_program_has_the_limits_of_training(plan: Plan, trained: Insertions) -> None:
@@ -63,17 +66,16 @@ def test_the_arms_own_program_has_the_limits_of_training(plan: Plan, trained: In
     assert (plan.limits.workspace == np.array(limits.workspace)).all()
     assert plan.limits.force_ceiling_n == limits.force_ceiling_n
     # Shorter in the cell: training has no clock that could be late. Longer than any step, or a held target would stop.
-    assert plan.ticks_per_step * plan.tick_s + plan.policy_deadline_s < plan.limits.target_age_s <= limits.target_age_s
+    assert plan.step.ticks * plan.tick_s + plan.policy_deadline_s < plan.limits.target_age_s <= limits.target_age_s
 
 
 def test_lock_wrench_window_period_and_action_are_those_of_training(plan: Plan, trained: Insertions) -> None:
-    assert plan.dsl == trained._lock
-    assert plan.lock_samples == trained.contract.wrench_window_ticks
-    assert plan.ticks_per_step == len(trained._window)
+    assert plan.step.lock == trained._policy_step.lock
+    assert plan.step.ticks == len(trained._window)
     assert plan.tick_s == TICK_S
     assert plan.max_steps == trained.contract.max_steps
-    assert plan.builder.size == trained.observation_size
-    assert plan.action.size == trained.action_size
+    assert plan.step.observation_size == trained.observation_size
+    assert plan.step.actions.size == trained.action_size
 
 
 def test_start_and_nominal_hole_of_the_shipped_recipe_are_those_of_training(plan: Plan) -> None:
@@ -83,4 +85,4 @@ def test_start_and_nominal_hole_of_the_shipped_recipe_are_those_of_training(plan
 
 
 def test_the_cells_stiffest_law_admits_the_one_of_training(plan: Plan) -> None:
-    assert (plan.law.stiffness <= np.array(SHIPPED.limits.max_stiffness)).all()
+    assert (np.array(plan.law.stiffness) <= np.array(SHIPPED.limits.max_stiffness)).all()

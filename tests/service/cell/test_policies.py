@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ from wire.records import TICK_S
 
 ROOT = Path(__file__).parents[3]
 SHIPPED = sorted((ROOT / "models").glob("*.onnx"))
-MODES = ("paper", "peck", "sliding", "off")
+MODES = ("paper", "sliding", "off")
 
 
 def admit(config: CellConfig, recipe: str = RECIPE) -> Policy:
@@ -33,7 +34,7 @@ def locked(**changes: object) -> DslParameters:
 def law(name: str, axis: int, value: float) -> object:
     wanted = list(getattr(LAW, name))
     wanted[axis] = value
-    return LAW.model_copy(update={name: tuple(wanted)})
+    return replace(LAW, **{name: tuple(wanted)})
 
 
 @pytest.mark.parametrize(
@@ -60,18 +61,6 @@ def test_a_lock_in_name_only_is_refused(tmp_path: Path, mode: str, changes: dict
     policy = policies.still(tmp_path, dsl=locked(mode=mode, **changes))
     with pytest.raises(PolicyRefusedError, match=re.escape(reason)):
         admit(cell_config(tmp_path, policy, limits, allow_lock=MODES))
-
-
-def test_a_peck_that_goes_deeper_each_time_than_a_press_may_is_refused(tmp_path: Path) -> None:
-    action = tuple(entry for entry in policies.document().action if entry.name != "dz")
-    for deeper, refused in ((5e-3, False), (5.1e-3, True)):
-        dsl = locked(mode="peck", press_m=1e-3, peck_deeper_m=deeper)
-        config = cell_config(tmp_path, policies.still(tmp_path, action=action, dsl=dsl))
-        if refused:
-            with pytest.raises(PolicyRefusedError, match=r"dsl\.peck_deeper_m is 0\.0051, limits\.max_press_m"):
-                admit(config)
-        else:
-            admit(config)
 
 
 def test_the_constants_of_a_lock_that_is_off_bound_nothing_and_are_not_judged(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from service.drivers.base import DriverError, Setup
+from service.drivers.base import DriverError
 from service.drivers.camera import ZenohCamera
 from service.drivers.stage import ZenohStage
 from service.faults import FaultCode
@@ -16,9 +16,10 @@ from tests.service.sim_server import free_endpoint
 from wire import keys
 from wire import records as wire
 from wire.session import close_session, open_session
+from wire.task import Task
 
 KEY = keys.CAMERA.format(world="w")
-SETUP = Setup(7, "tr", 2e-3, "easy")
+TASK = Task(7, "tr", 2e-3, "easy")
 
 
 @contextmanager
@@ -119,7 +120,7 @@ async def laid_out_by(answer: Callable[[zenoh.Query], None]) -> object:
         try:
             for _ in range(50):
                 try:
-                    return await stage.lay_out(SETUP)
+                    return await stage.lay_out(TASK)
                 except DriverError as error:
                     if error.code is not FaultCode.LINK:
                         raise
@@ -157,4 +158,4 @@ async def test_a_world_that_is_refused_or_answers_nonsense_is_a_driver_error(ans
 
 async def test_a_stage_that_was_not_opened_says_so() -> None:
     with pytest.raises(DriverError, match="not connected"):
-        await ZenohStage("w", ["tcp/127.0.0.1:1"]).lay_out(SETUP)
+        await ZenohStage("w", ["tcp/127.0.0.1:1"]).lay_out(TASK)

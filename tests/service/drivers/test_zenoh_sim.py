@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 import zenoh
 
-from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, Program, Sample, Setup
+from service.drivers.base import DriverError, PoseTarget, Program, Sample
 from service.drivers.zenoh_sim import ZenohSimDriver
 from service.faults import FaultCode
 from service.testing.in_process import InProcessDriver
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from tests.service.sim_server import free_endpoint, sim_process
 from wire import records as wire
+from wire.law import ComplianceLaw, ControlLimits
+from wire.limits import WORKSPACE_M
 from wire.session import close_session, open_session
+from wire.task import Task
 
-SETUP = Setup(seed=7, part="tr", clearance_m=2e-3, conditions="easy")
-LAW = ComplianceLaw(
-    np.array([1000.0] * 3 + [20.0] * 3), np.array([200.0] * 3 + [2.0] * 3), np.array([2.0] * 3 + [0.05] * 3),
-    np.array([0.1, 1.0]),
-)  # fmt: skip
-LIMITS = Limits(np.array([0.012, 0.3]), np.array([[0.15, -0.26, 0.01], [0.45, 0.04, 0.4]]), 30.0, 0.5)
+TASK = Task(7, "tr", 2e-3, "easy")
+LAW = ComplianceLaw((1000.0,) * 3 + (20.0,) * 3, (200.0,) * 3 + (2.0,) * 3, (2.0,) * 3 + (0.05,) * 3)
+LIMITS = ControlLimits(WORKSPACE_M, 30.0, (0.1, 1.0), (0.012, 0.3), 0.5)
 
 
 class Sink:
@@ -58,7 +58,7 @@ async def test_an_arm_is_prepared_engaged_moved_and_stopped(mode: str) -> None:
     endpoint = free_endpoint()
     with sim_process(endpoint, mode.replace("_", "-")):
         async with connected(endpoint, mode) as (driver, sink):
-            await driver.prepare(SETUP)
+            await driver.prepare(TASK)
             await until(lambda: sink.samples)
             start = sink.samples[-1]
             driver.engage(LAW, LIMITS)
@@ -88,12 +88,12 @@ async def test_the_same_seed_is_the_same_world_with_transport_and_without() -> N
     near = Sink()
     inside = InProcessDriver(SimulatedCell("tr"))
     await inside.connect(near)
-    await inside.prepare(SETUP)
+    await inside.prepare(TASK)
     await until(lambda: len(near.samples) > 20)
     await inside.close()
     with sim_process(endpoint, "lockstep"):
         async with connected(endpoint, "lockstep") as (driver, far):
-            await driver.prepare(SETUP)
+            await driver.prepare(TASK)
             first = far.samples[-1]
             twin = next(sample for sample in near.samples if sample.episode == near.samples[-1].episode)
             assert first.hole_estimate is not None
@@ -123,7 +123,7 @@ async def test_a_world_that_cannot_be_laid_out_is_refused_by_the_fields_name() -
     with sim_process(endpoint):
         async with connected(endpoint, "real_time") as (driver, _):
             with pytest.raises(DriverError, match=r"task\.part") as error:
-                await driver.prepare(Setup(1, "star", 2e-3, "easy"))
+                await driver.prepare(Task(1, "star", 2e-3, "easy"))
             assert error.value.code is FaultCode.PROTOCOL
 
 

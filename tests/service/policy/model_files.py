@@ -6,8 +6,9 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from service.policy.contract import ActionEntry, ComplianceLaw, ObservationEntry, PolicyContract
+from service.policy.contract import ActionEntry, ObservationEntry, PolicyContract
 from service.safety.dsl import DslParameters
+from wire.law import ComplianceLaw
 
 LAW = ComplianceLaw(
     stiffness=(800.0,) * 3 + (10.0,) * 3, damping=(80.0,) * 3 + (1.0,) * 3, inertia=(2.0,) * 3 + (0.02,) * 3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.policy.contract import ObservationEntry
-from service.policy.observation import CENTROID_LIMIT_M, ENTRIES, Measurement, Mode, ObservationBuilder
+from service.policy.observation import CENTROID_LIMIT_M, ENTRIES, Measurement, ObservationBuilder, ObservationMode
 
 QUARTER = pi / 2
 
@@ -36,14 +36,14 @@ def measurement(shape: tuple[int, ...] = (), seed: int = 0, **changes: Any) -> M
     return Measurement(**values | changes)
 
 
-def builder(*names: str, mode: Mode = "VFTM", history: int = 1, window: int = 5) -> ObservationBuilder:
+def builder(*names: str, mode: ObservationMode = "VFTM", history: int = 1, window: int = 5) -> ObservationBuilder:
     entries = [ObservationEntry.of(name, history=history) for name in names]
     return ObservationBuilder(
         entries, mode, max_steps=100, window_samples=window, force_clip_n=10.0, torque_clip_nm=2.0
     )
 
 
-def observe(name: str, mode: Mode = "VFTM", **changes: Any) -> np.ndarray:
+def observe(name: str, mode: ObservationMode = "VFTM", **changes: Any) -> np.ndarray:
     made = builder(name, mode=mode)
     observation = made.build(made.begin(), measurement(**changes))[1]
     assert observation.dtype == np.float32
@@ -229,7 +229,7 @@ def test_building_does_not_touch_the_state_that_it_was_given() -> None:
 
 
 @pytest.mark.parametrize("mode", ["VFTM", "FTM"])
-def test_a_batch_is_observed_as_its_elements_are(mode: Mode) -> None:
+def test_a_batch_is_observed_as_its_elements_are(mode: ObservationMode) -> None:
     made = builder(*ENTRIES, mode=mode, history=3)
     batch, alone = made.begin((4,)), [made.begin() for _ in range(4)]
     for seed in range(5):

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from service.safety.dsl import DslOutput, DslParameters, DslState, Mode, Phase, step
+from service.safety.dsl import DslOutput, DslParameters, DslState, Phase, step
+from wire.limits import LockMode
 
 START = np.array([0.3, 0.1, 0.25])
 NO_ACTION = np.zeros(4)
-MODES: tuple[Mode, ...] = ("paper", "peck", "sliding", "off")
-PECK = DslParameters(mode="peck", press_m=1e-3)
+MODES: tuple[LockMode, ...] = ("paper", "sliding", "off")
 
 
 def wrench(fz: float = 0.0, fx: float = 0.0, tx: float = 0.0) -> np.ndarray:
@@ -249,43 +249,11 @@ def test_off_passes_the_action_through() -> None:
     assert state.z_contact0 == START[2]
 
 
-def test_peck_presses_with_the_action_feels_and_lifts_without_it() -> None:
-    action = np.array([1e-3, 0, -9e-3, 0.1])
-    state, out = step(PECK, DslState.begin(), START, wrench(6.0), action)
-    np.testing.assert_allclose(out.position, START)
-    assert (out.phase, out.dyaw) == (Phase.LOCKED, 0.0)
-    state, out = step(PECK, state, START, wrench(1.0), action)
-    np.testing.assert_allclose(out.position, START + np.array([1e-3, 0, -1e-3]))
-    assert (out.phase, out.dyaw) == (Phase.PRESSED, 0.1)
-    below = START - [0, 0, 0.4e-3]
-    state, out = step(PECK, state, below, wrench(8.0), action)
-    np.testing.assert_allclose(out.position, [*below[:2], START[2]])
-    assert (out.phase, out.dyaw) == (Phase.LOCKED, 0.0)
-
-
-def test_peck_without_contact_stays_down_and_goes_deeper() -> None:
-    state, _ = step(PECK, DslState.begin(), START, wrench(6.0), NO_ACTION)
-    state, out = step(PECK, state, START, wrench(1.0), NO_ACTION)
-    for depth in (0.5e-3, 1.0e-3, 1.5e-3):
-        state, out = step(PECK, state, out.position, wrench(0.5), np.array([1e-3, 0, 0, 0]))
-        assert out.position[2] == pytest.approx(START[2] - 1e-3 - depth)
-        assert out.phase == Phase.PRESSED
-    state, out = step(PECK, state, out.position, wrench(7.0), NO_ACTION)
-    assert out.position[2] == pytest.approx(START[2] - 1.5e-3)
-
-
-def test_pecks_record_does_not_run_away_below_a_tip_that_is_held_up() -> None:
-    state, _ = step(PECK, DslState.begin(), START, wrench(6.0), NO_ACTION)
-    for _ in range(30):
-        state, out = step(PECK, state, START, wrench(3.0), NO_ACTION)
-        assert out.position[2] >= START[2] - PECK.press_m - PECK.peck_deeper_m - 1e-12
-
-
 # Batches and reset
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_reset_forgets_everything_where_asked_and_nothing_elsewhere(mode: Mode) -> None:
+def test_reset_forgets_everything_where_asked_and_nothing_elsewhere(mode: LockMode) -> None:
     parameters = DslParameters(mode=mode, press_m=1e-3)
     state = DslState.begin((2,), [0.1, 0.2])
     for fz in (0.0, 6.0, 7.0):
@@ -334,7 +302,7 @@ SCALE_A = np.array([3e-3, 3e-3, 3e-3, 0.14])
 @given(steps, st.sampled_from(MODES), st.booleans(), st.floats(0, 2e-3), st.integers(0, 11))
 def test_a_batch_steps_as_its_elements_do(
     sequence: list[tuple[list[float], list[float], list[float]]],
-    mode: Mode,
+    mode: LockMode,
     hysteresis: bool,
     press: float,
     reset_at: int,
@@ -390,21 +358,6 @@ def test_papers_lock_bounds_the_depth_of_every_command(
         assert (state.phase == Phase.LOCKED) == np.isfinite(state.z_lock)
 
 
-@settings(max_examples=100, deadline=None)
-@given(steps)
-def test_pecks_command_is_never_further_below_the_tip_or_the_record_than_a_press(
-    sequence: list[tuple[list[float], list[float], list[float]]],
-) -> None:
-    state = DslState.begin()
-    for p, w, a in sequence:
-        position = START + 5e-3 * np.array(p)
-        state, out = step(PECK, state, position, SCALE_W * np.array(w), SCALE_A * np.array(a))
-        if out.phase == Phase.SEEK:
-            assert out.position[2] >= position[2] - PECK.seek_step_m - 1e-15
-        else:
-            assert out.position[2] >= out.z_lock - PECK.press_m - 1e-15
-
-
 # Parameters
 
 
@@ -431,11 +384,6 @@ def test_pecks_command_is_never_further_below_the_tip_or_the_record_than_a_press
 def test_parameters_that_make_no_lock_are_refused_by_name(field: str, value: object) -> None:
     with pytest.raises(ValueError, match=field):
         DslParameters(**{field: value})  # pyright: ignore
-
-
-def test_peck_needs_a_press() -> None:
-    with pytest.raises(ValueError, match="press_m"):
-        DslParameters(mode="peck", press_m=0.0)
 
 
 def test_the_papers_constants_are_the_defaults() -> None:

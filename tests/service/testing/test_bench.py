@@ -1,4 +1,4 @@
-"""What `docs/testing.md` shows to integrators works as it stands there, in a project of their own."""
+"""The tests that `docs/how-to/test-without-a-robot.md` shows pass as they stand, in a project of their own."""
 
 import re
 import subprocess
@@ -9,7 +9,9 @@ ROOT = Path(__file__).parents[3]
 
 
 def test_the_example_of_the_page_passes_outside_this_projects_test_suite(tmp_path: Path) -> None:
-    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "testing.md").read_text(), re.DOTALL)
+    (example,) = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs/how-to/test-without-a-robot.md").read_text(), re.DOTALL
+    )
     (tmp_path / "test_mine.py").write_text(example)
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path / "test_mine.py")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=110, check=False)

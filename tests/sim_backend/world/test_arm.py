@@ -1,5 +1,7 @@
 """The arm controller with an arm that follows perfectly: its measured joints are its set-points."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,9 +13,10 @@ from sim_backend.world.arm import (
     PROTECTIVE_FORCE_N,
     STOP_S,
     ArmController,
-    Limits,
 )
 from wire import pose
+from wire.law import ControlLimits
+from wire.limits import FORCE_CEILING_N, WORKSPACE_M
 from wire.records import TICK_S, Program, StopReason
 
 STIFFNESS = np.array([2500.0, 2500.0, 3000.0, 5.0, 5.0, 8.0])
@@ -23,6 +26,7 @@ START = np.array([0.3, -0.11, 0.18])
 NEAR = np.array([-0.2, -1.9, -1.7, -1.1, 1.57, 0.0])
 TCP = np.array([0.0, 0.0, scene.TCP_OFFSET_M])
 ONLY = np.array([0])
+OF_TRAINING = ControlLimits(WORKSPACE_M, FORCE_CEILING_N)
 DOWN = quaternion.from_rotvec(np.array([[np.pi, 0.0, 0.0]]))
 
 
@@ -42,7 +46,7 @@ class Bench:
         self.arm.place(self.cells, self.joints, np.full(n, delay))
         self.measure()
         if engage:
-            self.arm.engage(self.cells, STIFFNESS, DAMPING, INERTIA, limits or Limits())
+            self.arm.engage(self.cells, STIFFNESS, DAMPING, INERTIA, limits or OF_TRAINING)
 
     def measure(self):
         flange, rotation = kinematics.forward(self.joints)
@@ -68,7 +72,7 @@ class Bench:
 @pytest.mark.parametrize(("pace", "micrometres", "milliradians"), [(0.3, 15, 0.03), (1.0, 150, 0.3)])
 def test_the_joints_are_the_inverse_kinematics_of_the_reference_along_a_path(pace, micrometres, milliradians):
     """At 25 mm/s and 0.17 rad/s, and at 81 mm/s and 0.55 rad/s, between two exact solutions."""
-    bench = Bench(limits=Limits(max_speed=(0.25, 2.0)))
+    bench = Bench(limits=replace(OF_TRAINING, max_speed=(0.25, 2.0)))
     worst = farthest = 0.0
     position = START.copy()
     for step in range(round(110 / pace)):
@@ -92,7 +96,7 @@ def test_the_joints_are_the_inverse_kinematics_of_the_reference_along_a_path(pac
 
 
 def test_at_rest_the_joints_are_exactly_on_the_target():
-    bench = Bench(limits=Limits(target_age_s=10.0))
+    bench = Bench(limits=replace(OF_TRAINING, target_age_s=10.0))
     target = START + np.array([0.005, -0.003, 0.004])
     bench.target(target)
     bench.run(1500)
@@ -136,14 +140,14 @@ def test_every_wall_of_the_workspace_is_a_limit():
     for axis in range(3):
         for sign in (-1, 1):
             for reach, good in ((0.0049, True), (0.0051, False)):
-                bench = Bench(limits=Limits(workspace=box))
+                bench = Bench(limits=replace(OF_TRAINING, workspace=box))
                 target = START.copy()
                 target[axis] += sign * reach
                 assert bench.target(target).all() == good
 
 
 def test_the_step_limit_counts_from_a_target_that_still_waits():
-    bench = Bench(delay=10, limits=Limits(max_step=(0.004, 0.3)))
+    bench = Bench(delay=10, limits=replace(OF_TRAINING, max_step=(0.004, 0.3)))
     for k in range(1, 4):
         assert bench.target(START + np.array([0.003 * k, 0, 0])).all()
     assert not bench.target(START + np.array([0.003 * 3 + 0.005, 0, 0])).any()
@@ -163,7 +167,7 @@ def test_a_target_takes_effect_exactly_its_delay_later(delay):
 
 
 def test_without_targets_the_program_stops_at_the_age_limit():
-    bench = Bench(limits=Limits(target_age_s=0.1))
+    bench = Bench(limits=replace(OF_TRAINING, target_age_s=0.1))
     bench.run(30)
     bench.target(START)  # a target renews it
     bench.run(50)
@@ -185,7 +189,7 @@ def test_the_controller_stops_at_its_own_force_ceiling_on_the_sample_that_reache
 
 @pytest.mark.parametrize("noise", [0.0, 2.0])
 def test_a_stop_ends_in_time_whatever_the_noise_and_the_arm_stays(noise):
-    bench = Bench(limits=Limits(max_speed=(0.25, 2.0)))
+    bench = Bench(limits=replace(OF_TRAINING, max_speed=(0.25, 2.0)))
     rng = np.random.default_rng(0)
     for k in range(20):
         bench.target(START + np.array([0.004 * (k + 1), 0, 0]))
@@ -218,11 +222,11 @@ def test_a_stop_under_load_gives_way_before_it_holds():
 def test_a_stopped_program_obeys_no_target_until_it_is_engaged_again():
     bench = Bench()
     bench.arm.stop(ONLY, StopReason.COMMAND)
-    assert not bench.arm.engage(ONLY, STIFFNESS, DAMPING, INERTIA, Limits()).any()  # not while it moves
+    assert not bench.arm.engage(ONLY, STIFFNESS, DAMPING, INERTIA, OF_TRAINING).any()  # not while it moves
     assert not bench.target(START + np.array([0.01, 0, 0])).any()
     bench.run(60)
     assert not bench.target(START + np.array([0.01, 0, 0])).any()
-    assert bench.arm.engage(ONLY, STIFFNESS, DAMPING, INERTIA, Limits()).all()
+    assert bench.arm.engage(ONLY, STIFFNESS, DAMPING, INERTIA, OF_TRAINING).all()
     assert bench.state == (Program.ENGAGED, StopReason.NONE)
     bench.run(50)
     assert bench.position[0] == pytest.approx(START, abs=1e-9)
@@ -239,7 +243,7 @@ def test_a_second_stop_does_not_change_the_reason():
 
 
 def test_the_arm_stops_before_the_elbow_is_straight_and_stands():
-    free = Limits(workspace=((-1, -1, -1), (1, 1, 1)), max_speed=(0.1, 1.0))
+    free = replace(OF_TRAINING, workspace=((-1, -1, -1), (1, 1, 1)), max_speed=(0.1, 1.0))
     bench = Bench(limits=free)
     position, fastest = START.copy(), 0.0
     for _ in range(100):
@@ -263,7 +267,8 @@ def test_the_arm_stops_before_the_elbow_is_straight_and_stands():
 def test_the_arm_stops_at_the_end_of_a_joints_range():
     near_end = joints_at(START)
     near_end[0] += 2 * np.pi if near_end[0] < 0 else -2 * np.pi
-    bench = Bench(joints=near_end, limits=Limits(workspace=((-1, -1, -1), (1, 1, 1)), max_step=(0.05, 0.3)))
+    wide = replace(OF_TRAINING, workspace=((-1, -1, -1), (1, 1, 1)), max_step=(0.05, 0.3))
+    bench = Bench(joints=near_end, limits=wide)
     flange, rotation = kinematics.forward(near_end)
     position = flange + rotation @ TCP
     angle = np.arctan2(position[1], position[0])
@@ -293,14 +298,14 @@ def test_a_protective_stop_freezes_the_arm_and_unlocks_after_five_seconds_only(c
     bench.run(round(MIN_PROTECTIVE_STOP_S / TICK_S) - 2)
     assert bench.position == pytest.approx(still, abs=1e-9)
     assert not bench.target(START).any()
-    assert not bench.arm.engage(ONLY, STIFFNESS, DAMPING, INERTIA, Limits()).any()
+    assert not bench.arm.engage(ONLY, STIFFNESS, DAMPING, INERTIA, OF_TRAINING).any()
     bench.arm.unlock(ONLY)
     assert bench.state[0] is Program.PROTECTIVE_STOP
     bench.run(3)
     bench.arm.unlock(ONLY)
     assert bench.state[0] is Program.IDLE
     bench.wrench[:] = 0.0
-    assert bench.arm.engage(ONLY, STIFFNESS, DAMPING, INERTIA, Limits()).all()
+    assert bench.arm.engage(ONLY, STIFFNESS, DAMPING, INERTIA, OF_TRAINING).all()
     bench.run(100)
     assert bench.position == pytest.approx(still, abs=1e-7)  # engaging moves nothing
 
@@ -325,7 +330,7 @@ def test_arms_placed_at_different_times_keep_their_own_time():
     pair.joints[1] = joints_at(START)
     pair.arm.place(np.array([1]), pair.joints[1:], np.zeros(1, np.int64))
     pair.measure()
-    pair.arm.engage(np.array([1]), STIFFNESS, DAMPING, INERTIA, Limits())
+    pair.arm.engage(np.array([1]), STIFFNESS, DAMPING, INERTIA, OF_TRAINING)
     for bench in (pair, alone):
         for k in range(4):
             bench.arm.set_target(bench.cells[-1:], START[None] + [[0.004 * k, 0, -0.003 * k]], DOWN)

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from sim_backend.world import quaternion, scene
-from sim_backend.world.arm import STOP_S, Limits
+from sim_backend.world.arm import STOP_S
 from sim_backend.world.conditions import draw
 from sim_backend.world.parts import PARTS, hole_walls, yaw_tolerance
 from sim_backend.world.world import START_POSITION_M, World
 from wire import pose
+from wire.law import ControlLimits
+from wire.limits import FORCE_CEILING_N, WORKSPACE_M
 from wire.records import TICK_S, Program, StopReason
 from wire.task import Task
 
@@ -20,7 +22,7 @@ LAW = (
     np.array([320.0, 320.0, 400.0, 1.0, 1.0, 0.5]),
     np.array([2.5, 2.5, 2.5, 0.06, 0.06, 0.03]),
 )
-FREE = Limits(max_step=(1.0, 3.0), force_ceiling_n=100.0, target_age_s=60.0, workspace=((-1, -1, -1), (1, 1, 1)))
+FREE = ControlLimits(max_step=(1.0, 3.0), force_ceiling_n=100.0, target_age_s=60.0, workspace=((-1, -1, -1), (1, 1, 1)))
 SMALL = 1e-3 / 3
 
 
@@ -316,7 +318,8 @@ def test_friction_holds_a_pressed_peg_against_a_sideways_force_up_to_its_cone():
 
 
 def test_a_stop_brings_the_measured_arm_to_rest_and_it_stays():
-    world = prepare(4, above=0.06, limits=Limits(target_age_s=60.0, max_speed=(0.25, 1.0)))
+    fast = ControlLimits(WORKSPACE_M, FORCE_CEILING_N, target_age_s=60.0, max_speed=(0.25, 1.0))
+    world = prepare(4, above=0.06, limits=fast)
     cells = np.arange(4)
     for _ in range(10):
         world.arm.set_target(

@@ -19,7 +19,7 @@ SMALL = """
 title = "Small"
 seeds = [4, 5]
 [task]
-lock = "peck"
+lock = "sliding"
 clearance_mm = [1.0, 2.0]
 max_steps = 5
 [algorithm]
@@ -63,7 +63,7 @@ def test_an_experiment_is_trained_for_each_of_its_seeds_and_becomes_a_policy_of_
     assert said.count("finished in var/training/small/seed-") == 2
     run("export", "small", "small.onnx", "--seed", "5")
     contract = Policy.load(here / "small.onnx").contract
-    assert (contract.name, contract.dsl.mode, contract.hidden_size) == ("small", "peck", 8)
+    assert (contract.name, contract.dsl.mode, contract.hidden_size) == ("small", "sliding", 8)
     account: Any = contract.provenance
     assert account["seed"] == 5
     assert account["experiment"]["task"]["clearance_mm"] == [1.0, 2.0]

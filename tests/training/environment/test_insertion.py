@@ -8,6 +8,7 @@ import pytest
 
 from service.config import LimitsSection
 from service.policy.observation import Measurement
+from service.policy.step import command_bounds
 from service.safety import bounds, dsl
 from service.safety.pose import yaw_and_tilt
 from sim_backend.world import world as world_module
@@ -16,7 +17,7 @@ from sim_backend.world.parts import PARTS, hole_walls
 from sim_backend.world.world import START_YAW_RAD
 from tests.training.play import facts, play_towards_hole, random_actions, unit
 from training.environment import design, insertion
-from training.environment.insertion import GOAL_DEPTH_M, LIMITS, SUCCESS_DEPTH_M, Insertions, command_bounds
+from training.environment.insertion import GOAL_DEPTH_M, LIMITS, SUCCESS_DEPTH_M, Insertions
 from wire import pose
 from wire.records import Program
 from wire.task import Task
@@ -163,7 +164,7 @@ def test_what_is_seen_is_what_the_deployed_service_makes_of_the_same_samples() -
     cells = begun(3)
     contract, world = cells.contract, cells.world
     builder, action_map = contract.observation_builder(), contract.action_map()
-    limits = command_bounds(contract.ticks_per_step, LIMITS)
+    limits = command_bounds(LIMITS, contract.period_s, START_YAW_RAD)
     memory, lock = builder.begin(), dsl.DslState.begin()
     window = np.zeros((contract.ticks_per_step, 6))
     target, target_yaw = world.position[1].copy(), float(pose.yaw_of(world.rotation[1]))
@@ -222,7 +223,7 @@ def test_what_is_seen_is_what_the_deployed_service_makes_of_the_same_samples() -
 # --- a batch is many of one
 
 
-@pytest.mark.parametrize("lock", ["paper", "peck", "off"])
+@pytest.mark.parametrize("lock", ["paper", "sliding", "off"])
 def test_a_cell_does_the_same_alone_and_in_a_batch_bit_for_bit(lock: str) -> None:
     together = begun(3, lock=lock)
     alone = [begun(1, [task], lock=lock) for task in TASKS]

@@ -103,12 +103,12 @@ def test_jobs_give_what_the_evaluation_in_one_process_gives(model_path: Path) ->
         assert got.episode_return == pytest.approx(reference.episode_return, rel=1e-3)
 
 
-def test_a_policy_can_be_put_under_another_lock_but_not_under_one_that_takes_its_z() -> None:
+def test_a_policy_can_be_put_under_another_lock_but_not_under_one_that_does_not_exist() -> None:
     sliding = with_lock(SHORT, Setting(**_fields(lock="sliding")))
     assert sliding.dsl.mode == "sliding"
     assert sliding.dsl.delta_f == SHORT.dsl.delta_f
-    with pytest.raises(ValueError, match="peck"):
-        with_lock(SHORT, Setting(**_fields(lock="peck")))
+    with pytest.raises(ValueError, match="bolt"):
+        with_lock(SHORT, Setting(**_fields(lock="bolt")))
 
 
 def _fields(**changes: object) -> dict[str, object]:

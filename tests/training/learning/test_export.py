@@ -91,14 +91,13 @@ def test_weights_make_the_network_again_that_they_were_taken_from(trained: tuple
     "other",
     [
         design.contract_for("VM", hidden_size=32),
-        design.contract_for("VFTM", "peck", hidden_size=32),
         design.contract_for(hidden_size=16),
         design.contract_for(),
         REMEMBERING.model_copy(
             update={"observation": tuple(e.model_copy(update={"scale": 7.0}) for e in REMEMBERING.observation)}
         ),
     ],
-    ids=["other observation", "other action", "other memory", "no memory", "other scales"],
+    ids=["other observation", "other memory", "no memory", "other scales"],
 )
 def test_weights_of_another_contract_are_refused(remembering: Any, other: PolicyContract) -> None:
     with pytest.raises(ValueError, match=f"contract '{other.name}'"):

@@ -286,7 +286,7 @@ def test_a_training_under_way_takes_no_other_weights_than_it_began_with(tmp_path
     assert before == (run.checkpoint.read_bytes(), (tmp_path / "mine/run.json").read_bytes())
 
 
-@pytest.mark.parametrize("change", [{"task": {"lock": "peck"}}, {"algorithm": {"memory": "none"}}])
+@pytest.mark.parametrize("change", [{"task": {"mode": "VM", "lock": "off"}}, {"algorithm": {"memory": "none"}}])
 def test_weights_that_do_not_fit_are_refused_and_nothing_is_left(change: dict[str, Any], tmp_path: Path) -> None:
     learn(Run(experiment(algorithm={"steps": 32}), 0, tmp_path / "first"))
     with pytest.raises(CheckpointError, match=r"cannot begin with .*best\.pt"):

@@ -187,7 +187,7 @@ def test_another_provenance_stands_as_it_is_and_none_is_said_to_be_none() -> Non
     ("mode", "lock", "needs"),
     [
         ("VFTM", "paper", "a force/torque sensor and a camera's estimate of the hole"),
-        ("FTM", "peck", "a force/torque sensor"),
+        ("FTM", "paper", "a force/torque sensor"),
         ("VM", "off", "a camera's estimate of the hole"),
     ],
 )

@@ -17,8 +17,8 @@ from service.cell.cell import Cell
 from service.cell.inference import InferenceKind
 from service.cell.process import standing
 from service.config import CellConfig
-from service.drivers.base import Driver, Sample, Setup
-from service.drivers.sim_wire import task_of
+from service.drivers.base import Driver, Sample
+from service.drivers.sim_wire import check_task
 from service.drivers.stage import LaidOut
 from service.drivers.ur.driver import UrDriver
 from service.faults import FaultCode
@@ -29,6 +29,7 @@ from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
 from sim_backend.world.world import World
 from tests.fault_proxy import FaultProxy
 from tests.service.drivers.ur.cells import UR, ur_config
+from wire.task import Task
 
 HOST = UR["host"]
 DELIVERY_S = 2.0
@@ -46,8 +47,8 @@ class PlantStage:
 
     async def close(self) -> None: ...
 
-    async def lay_out(self, setup: Setup) -> LaidOut:
-        self._controller.plant.lay_out(task_of(setup))
+    async def lay_out(self, task: Task | None) -> LaidOut:
+        self._controller.plant.lay_out(check_task(task))
         self.episode += 1
         return LaidOut(self.episode, self._controller.time_s)
 

@@ -14,7 +14,7 @@ from service.faults import FaultCode
 from sim_backend.ur_controller.controller import Controller
 from tests.service.drivers.ur.cells import ur_config
 from tests.service.drivers.ur.emulated import Emulated, emulated
-from tests.service.drivers.ur.test_driver import COMPLIANCE, FOREIGN, LIMITS, SETUP, engaged, step
+from tests.service.drivers.ur.test_driver import FOREIGN, LAW, LIMITS, TASK, engaged, step
 from wire.records import TICK_S
 from wire.rtde.modes import RobotMode, RuntimeState
 
@@ -62,17 +62,17 @@ async def test_what_the_gate_could_not_check_of_an_arm_without_power_is_checked_
         await arm.driver.connect(arm)
         await switched_on(arm)
         with pytest.raises(DriverError, match="watchdog"):
-            await arm.driver.prepare(SETUP)
+            await arm.driver.prepare(TASK)
 
 
 async def test_an_arm_that_is_switched_on_after_the_connection_is_proven_and_works() -> None:
     async with emulated(prepare=switched_off) as arm:
         await arm.driver.connect(arm)
         await switched_on(arm)
-        await arm.driver.prepare(SETUP)
+        await arm.driver.prepare(TASK)
         watchdog = next(check for check in arm.driver.checks if check.name == "watchdog")
         assert watchdog.verdict == "passed"
-        arm.driver.engage(COMPLIANCE, LIMITS)
+        arm.driver.engage(LAW, LIMITS)
         await arm.until(lambda: arm.samples[-1].program is Program.ENGAGED, 0.3)
 
 
@@ -94,7 +94,7 @@ async def test_a_tool_that_somebody_else_sets_keeps_a_run_from_starting_and_ends
         arm.driver.stop()
         await arm.until(lambda: arm.samples[-1].program is Program.IDLE)
         with pytest.raises(DriverError, match=text):
-            await arm.driver.prepare(SETUP)
+            await arm.driver.prepare(TASK)
 
 
 async def test_a_speed_slider_that_is_moved_under_a_run_is_a_fault() -> None:
@@ -245,7 +245,7 @@ async def test_the_last_resort_ends_our_program_without_a_dashboard(monkeypatch)
         arm.driver.escalate()
         await arm.until(lambda: arm.controller.runtime_state is RuntimeState.STOPPED, 0.2)
         await arm.pass_time(1.0)
-        await arm.driver.prepare(SETUP)
+        await arm.driver.prepare(TASK)
         assert arm.controller.runtime_state is RuntimeState.PLAYING, "the next run is heard again"
 
 
@@ -277,13 +277,13 @@ async def test_a_world_of_another_controller_is_not_this_arm_s() -> None:
         assert stage is not None
         lay_out = stage.lay_out
 
-        async def of_another(setup) -> LaidOut:
-            laid_out = await lay_out(setup)
+        async def of_another(task) -> LaidOut:
+            laid_out = await lay_out(task)
             return LaidOut(laid_out.episode, laid_out.time_s - 30.0)
 
         stage.lay_out = of_another  # type: ignore[method-assign]
         with pytest.raises(DriverError, match="another"):
-            await arm.driver.prepare(SETUP)
+            await arm.driver.prepare(TASK)
 
 
 # --- a link that grows slow

@@ -5,7 +5,7 @@ import asyncio
 import numpy as np
 import pytest
 
-from service.drivers.base import ComplianceLaw, DriverError, Limits, PoseTarget, Program, Setup, StopReason
+from service.drivers.base import DriverError, PoseTarget, Program, StopReason
 from service.drivers.ur.driver import UrDriver
 from service.drivers.ur.gate import Verdict
 from service.faults import FaultCode
@@ -13,12 +13,13 @@ from sim_backend.ur_controller.controller import Controller
 from tests.service.drivers.ur.cells import ur_config
 from tests.service.drivers.ur.emulated import Emulated, emulated
 from training.environment.design import LAW
+from wire.law import ControlLimits
 from wire.records import TICK_S
 from wire.rtde.modes import RobotMode, RuntimeState, SafetyMode
+from wire.task import Task
 
-SETUP = Setup(3, "tr", 2e-3, "easy")
-COMPLIANCE = ComplianceLaw(np.array(LAW.stiffness), np.array(LAW.damping), np.array(LAW.inertia), np.array([0.1, 3.0]))
-LIMITS = Limits(np.array([0.012, 0.3]), np.array(ur_config().limits.workspace_m), 30.0, 0.3)
+TASK = Task(3, "tr", 2e-3, "easy")
+LIMITS = ControlLimits(ur_config().limits.workspace_m, 30.0, (0.1, 3.0), (0.012, 0.3), 0.3)
 
 FOREIGN = """
 def foreign():
@@ -33,10 +34,10 @@ end
 async def engaged(arm: Emulated) -> None:
     """Connect, prepare, zero and engage, as a run does."""
     await arm.driver.connect(arm)
-    await arm.driver.prepare(SETUP)
+    await arm.driver.prepare(TASK)
     arm.driver.zero_ft()
     await arm.pass_time(0.1)
-    arm.driver.engage(COMPLIANCE, LIMITS)
+    arm.driver.engage(LAW, LIMITS)
     await arm.until(lambda: arm.samples[-1].program is Program.ENGAGED, 0.2)
 
 
@@ -85,11 +86,11 @@ async def test_a_target_is_echoed_at_once_and_the_arm_goes_there() -> None:
 async def test_a_zero_that_was_asked_just_before_engaging_is_not_lost() -> None:
     async with emulated() as arm:
         await arm.driver.connect(arm)
-        await arm.driver.prepare(SETUP)
+        await arm.driver.prepare(TASK)
         await arm.pass_time(0.3)
         biased = np.mean([sample.wrench for sample in arm.samples[-100:]], axis=0)
         arm.driver.zero_ft()
-        arm.driver.engage(COMPLIANCE, LIMITS)
+        arm.driver.engage(LAW, LIMITS)
         await arm.until(lambda: arm.samples[-1].program is Program.ENGAGED, 0.2)
         await arm.pass_time(0.25)
         zeroed = np.mean([sample.wrench for sample in arm.samples[-100:]], axis=0)
@@ -105,7 +106,7 @@ async def test_a_program_that_somebody_stops_is_said_to_have_ended_and_starts_ag
         assert arm.samples[-1].stop_reason is StopReason.PROGRAM_ENDED
         await arm.pass_time(0.3)
         assert arm.controller.runtime_state is RuntimeState.STOPPED, "nothing starts by itself"
-        await arm.driver.prepare(SETUP)
+        await arm.driver.prepare(TASK)
         await arm.pass_time(0.02)
         assert arm.controller.runtime_state is RuntimeState.PLAYING
         assert (arm.samples[-1].program, arm.samples[-1].stop_reason) == (Program.IDLE, StopReason.NONE)
@@ -156,7 +157,7 @@ async def test_an_arm_that_is_not_ready_is_connected_and_refuses_a_run_with_what
         assert arm.samples, "the operator sees the arm"
         assert arm.controller.runtime_state is not RuntimeState.PLAYING
         with pytest.raises(DriverError, match=text) as refused:
-            await arm.driver.prepare(SETUP)
+            await arm.driver.prepare(TASK)
         assert refused.value.code is FaultCode.AUTHORITY
 
 
@@ -172,7 +173,7 @@ async def test_a_protective_stop_is_unlocked_by_an_operator_only_and_after_five_
         await arm.until(lambda: arm.controller.safety_mode is SafetyMode.NORMAL)
         await arm.pass_time(0.2)
         assert arm.controller.runtime_state is RuntimeState.STOPPED
-        await arm.driver.prepare(SETUP)
+        await arm.driver.prepare(TASK)
         assert arm.controller.runtime_state is RuntimeState.PLAYING
 
 
@@ -238,11 +239,11 @@ async def test_the_last_resort_cuts_the_power_where_the_program_s_end_does_not_h
 async def test_a_world_that_somebody_else_lays_out_is_a_fault_of_the_source() -> None:
     async with emulated() as arm:
         await arm.driver.connect(arm)
-        await arm.driver.prepare(SETUP)
+        await arm.driver.prepare(TASK)
         await arm.pass_time(0.05)
         assert arm.faults == []
         assert arm.driver._stage is not None
-        await arm.driver._stage.lay_out(SETUP)
+        await arm.driver._stage.lay_out(TASK)
         await arm.pass_time(0.02)
         assert [code for code, _ in arm.faults] == [FaultCode.SOURCE]
 
@@ -281,7 +282,7 @@ async def test_a_real_arm_has_no_seed() -> None:
         real = UrDriver(arm.config, mode="lockstep")
         assert not real.simulated
         with pytest.raises(DriverError, match="no seed"):
-            await real.prepare(SETUP)
+            await real.prepare(TASK)
 
 
 async def test_a_watchdog_that_does_not_work_keeps_the_cell_unconnected() -> None:

@@ -1,0 +1,226 @@
+"""The policy step: what was measured → observation → policy → action → depth lock → command bounds → target.
+
+Written once, for any batch shape `...`: `()` in a cell, `(n,)` in training. `service.cell.insertion` and
+`training.environment.insertion` call it and keep what is theirs: stages and faults there, world and reward here.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from service.policy.contract import PolicyContract
+from service.policy.observation import Measurement, ObservationState
+from service.safety import bounds, dsl
+from wire.arrays import BoolArray, Float32Array, FloatArray
+from wire.law import ControlLimits
+from wire.limits import TILT_RAD, YAW_HALF_RANGE_RAD
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Everything measured at one moment; base frame. A step observes and acts on the same one.
+
+    Attributes:
+        position: (..., 3) m, measured TCP.
+        yaw: (...) rad, measured.
+        tilt: (..., 2) rad, measured, as `service.safety.pose.yaw_and_tilt` gives it.
+        wrench_window: (T, ..., 6) N and N·m at the TCP, oldest first: the samples since the last step.
+        hole_estimate: (..., 3) m, this camera frame's estimate of the centre of the hole's mouth; NaN without one.
+        nominal_hole: (..., 3) m, where the hole is without any camera.
+        start_yaw: (...) rad, yaw at the start of the run.
+        last_joint: (...) rad, angle of the last joint.
+    """
+
+    position: FloatArray
+    yaw: FloatArray
+    tilt: FloatArray
+    wrench_window: FloatArray
+    hole_estimate: FloatArray
+    nominal_hole: FloatArray
+    start_yaw: FloatArray
+    last_joint: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class StepState:
+    """Memory between two policy steps; batch shape `...` in front.
+
+    Attributes:
+        lock: memory of the depth lock.
+        memory: memory of the observation.
+        target_position: (..., 3) m, the command in force.
+        target_yaw: (...) rad, the command in force.
+        previous_action: (..., 4) the policy's last action (`ActionMap.unit`); zero before the first.
+    """
+
+    lock: dsl.DslState
+    memory: ObservationState
+    target_position: FloatArray
+    target_yaw: FloatArray
+    previous_action: FloatArray
+
+    def reset(self, mask: BoolArray, target_position: FloatArray, target_yaw: FloatArray) -> Self:
+        """Begin new episodes where `mask` (...) is True, with the command in force there; the others keep theirs."""
+        wide = mask[..., None]
+        return type(self)(
+            lock=self.lock.reset(mask),
+            memory=self.memory.reset(mask),
+            target_position=np.where(wide, target_position, self.target_position),
+            target_yaw=np.where(mask, target_yaw, self.target_yaw),
+            previous_action=np.where(wide, 0.0, self.previous_action),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What one step made of the policy's action; batch shape `...` in front.
+
+    Attributes:
+        displacement: (..., 4) m and rad, base frame: the action in units, before the lock.
+        locked: what the depth lock made of it.
+        bounded: what the command bounds made of that: the target.
+    """
+
+    displacement: FloatArray
+    locked: dsl.DslOutput
+    bounded: bounds.BoundedCommand
+
+
+class PolicyStep:
+    """The policy step under one contract. Holds no state: `begin` makes it, `observe` and `act` hand on the next one.
+
+    Args:
+        contract: of the policy.
+        limits: bounds on every command.
+
+    Attributes:
+        ticks: samples per step.
+        lock: constants of the depth lock.
+        bounds: bounds on every command.
+        actions: meaning of the policy's output.
+        observation_size: length of an observation.
+    """
+
+    def __init__(self, contract: PolicyContract, limits: bounds.BoundsParameters) -> None:
+        self.ticks = contract.ticks_per_step
+        self.lock = contract.dsl
+        self.bounds = limits
+        self.actions = contract.action_map()
+        self._builder = contract.observation_builder()
+        self._lock_samples = contract.wrench_window_ticks
+        self.observation_size = self._builder.size
+
+    def begin(self, target_position: npt.ArrayLike, target_yaw: npt.ArrayLike) -> StepState:
+        """Return the state before the first step.
+
+        Args:
+            target_position: (..., 3) m, the command in force; its batch shape is the state's.
+            target_yaw: (...) rad, likewise.
+        """
+        position, yaw = np.asarray(target_position, np.float64), np.asarray(target_yaw, np.float64)
+        shape = position.shape[:-1]
+        return StepState(
+            lock=dsl.DslState.begin(shape, self.bounds.workspace_lower[2]),
+            memory=self._builder.begin(shape),
+            target_position=position,
+            target_yaw=yaw,
+            previous_action=np.zeros((*shape, 4)),
+        )
+
+    def observe(self, state: StepState, seen: Seen, mask: BoolArray | None = None) -> tuple[StepState, Float32Array]:
+        """Build the policy's observation.
+
+        Args:
+            state: from `begin` or the last `act`.
+            seen: measured now.
+            mask: (...) elements that observe; the memory of the others stays. None: all.
+
+        Returns:
+            The next state, and (..., observation_size) float32 in raw units. NaN where something needed is not known.
+        """
+        measurement = Measurement(
+            position=seen.position,
+            yaw=seen.yaw,
+            tilt=seen.tilt,
+            wrench_window=seen.wrench_window,
+            hole_estimate=seen.hole_estimate,
+            nominal_hole=seen.nominal_hole,
+            target_position=state.target_position,
+            target_yaw=state.target_yaw,
+            start_yaw=seen.start_yaw,
+            z_lock=state.lock.z_lock,
+            contact_z=state.lock.z_contact0,
+            phase=state.lock.phase,
+            previous_action=state.previous_action,
+            last_joint=seen.last_joint,
+        )
+        memory, observation = self._builder.build(state.memory, measurement, mask)
+        return (
+            StepState(state.lock, memory, state.target_position, state.target_yaw, state.previous_action),
+            observation,
+        )
+
+    def act(self, state: StepState, seen: Seen, action: npt.ArrayLike) -> tuple[StepState, Decision]:
+        """Turn the policy's answer into the next target.
+
+        Args:
+            state: from `observe`.
+            seen: what that observation was built from.
+            action: (..., m) as the contract has it. The caller refuses one that is not finite.
+
+        Returns:
+            The next state, whose target is the decision's, and the decision.
+        """
+        displacement = self.actions.displacement(action, seen.yaw)
+        wrench = seen.wrench_window[-self._lock_samples :].mean(0)
+        lock, locked = dsl.step(self.lock, state.lock, seen.position, wrench, displacement)
+        bounded = bounds.apply(
+            self.bounds,
+            seen.position,
+            seen.yaw,
+            locked.position,
+            seen.yaw + locked.dyaw,
+            state.target_position,
+            state.target_yaw,
+            np.linalg.norm(seen.tilt, axis=-1),
+        )
+        after = StepState(lock, state.memory, bounded.position, bounded.yaw, self.actions.unit(action))
+        return after, Decision(displacement, locked, bounded)
+
+
+def command_bounds(
+    limits: ControlLimits,
+    period_s: float,
+    start_yaw_rad: float,
+    *,
+    yaw_half_range_rad: float = YAW_HALF_RANGE_RAD,
+    tilt_rad: float = TILT_RAD,
+) -> bounds.BoundsParameters:
+    """Return the bounds on a policy's commands: those that the arm's own controller enforces, and yaw range and tilt.
+
+    Args:
+        limits: of the arm's own controller.
+        period_s: time between two commands, s.
+        start_yaw_rad: middle of the yaw range.
+        yaw_half_range_rad: half of the yaw range.
+        tilt_rad: measured tilt at which the caller stops.
+    """
+    lower, upper = limits.workspace
+    step_m, step_rad = limits.max_step
+    speed_m_s, speed_rad_s = limits.max_speed
+    return bounds.BoundsParameters(
+        period_s=period_s,
+        step_m=step_m,
+        step_rad=step_rad,
+        speed_mps=speed_m_s,
+        speed_radps=speed_rad_s,
+        leash_m=step_m,
+        leash_rad=step_rad,
+        workspace_lower=lower,
+        workspace_upper=upper,
+        yaw_centre_rad=start_yaw_rad,
+        yaw_half_range_rad=yaw_half_range_rad,
+        tilt_rad=tilt_rad,
+    )
