@@ -304,7 +304,7 @@ def _measured(card: Card) -> Iterator[ReportBlock]:
         )
     if card.recorded:
         yield Paragraph(
-            "These figures are recorded in the file, which does not name part, lock, ceiling or the version measured:"
+            "Recorded in the file, which names neither part, lock and ceiling nor the measured version:"
         )
         yield Table(
             ["clearance", "conditions", "success", "peak force, median / max, N"],

@@ -30,10 +30,9 @@ HELD_MS = 1500
 _INK, _PAPER = (20, 22, 24), (255, 255, 255)
 _PAGE = """# Insertions
 
-One test episode per part, the insertion of median length among the test's first, drawn from the simulated cell and
-shown in real time; policy: {policies}. The line below a frame tells the time, the depth of the peg's bottom below the
-hole's mouth and the largest force until then.
-`dsl-assembly gallery MODEL` draws this page anew.
+Each film shows one test episode in the simulated cell, in real time; policy: {policies}. It is the insertion of median
+length among the first test episodes with its part. The line below a frame gives the time, the depth of the peg's bottom
+below the hole's mouth and the largest force until then. `dsl-assembly gallery MODEL` draws this page anew.
 
 | part | clearance per face | conditions, seed | inserted after | peak force | |
 |---|---|---|---|---|---|
