@@ -21,9 +21,9 @@ from training.evaluation.results import (
     RESULTS,
     Block,
     EpisodeResult,
+    MeasuringSession,
     Results,
     ResultsError,
-    Session,
     Setting,
     Through,
     exclusive,
@@ -174,7 +174,7 @@ class _Keeper:
         block = self.results.block(setting)
         earlier = self._before.block(setting).sessions
         mine = block.sessions[len(earlier) :]
-        session = Session(
+        session = MeasuringSession(
             ended=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
             commit=self.commit,
             machine=provenance.machine(),

@@ -37,7 +37,7 @@ def train(
     try:
         from training.learning.learn import TrainingError, learn
         from training.learning.parallel import WorkerError
-        from training.learning.run import CheckpointError, Run
+        from training.learning.run import CheckpointError, TrainingRun
     except ImportError as error:
         refuse_without_extra("train", error)
     signal.signal(signal.SIGTERM, _interrupt)
@@ -49,7 +49,7 @@ def train(
             if number and time.monotonic() >= deadline:
                 typer.echo(f"out of time; the same command goes on with seed {', '.join(map(str, seeds[number:]))}")
                 break
-            run = Run(asked, one)
+            run = TrainingRun(asked, one)
             try:
                 learn(run, start_from, deadline - time.monotonic())
             except KeyboardInterrupt:

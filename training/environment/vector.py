@@ -11,7 +11,7 @@ from training.environment.episodes import TaskSource
 from training.environment.insertion import PRIVILEGED_SIZE, Insertions
 from wire.arrays import Float32Array
 
-Job = Callable[[], Any]
+WorkerJob = Callable[[], Any]
 """Work beside the training; the callable and its result must be picklable."""
 
 
@@ -87,7 +87,7 @@ class EndlessCells(Protocol):
         """Take one policy step in every cell; `action` (n, action_size) in [-1, 1]."""
         ...
 
-    def run(self, jobs: Sequence[Job]) -> list[Any]:
+    def run(self, jobs: Sequence[WorkerJob]) -> list[Any]:
         """Run `jobs` in the cells' processes while the cells stand still; return the results in order."""
         ...
 
@@ -137,7 +137,7 @@ class EndlessInsertions:
             self._cells.reset(over, self._tasks.draw(self._rng, over.size))
         return Step(self._features(), outcome.reward.astype(np.float32), done, ended)
 
-    def run(self, jobs: Sequence[Job]) -> list[Any]:
+    def run(self, jobs: Sequence[WorkerJob]) -> list[Any]:
         return [job() for job in jobs]
 
     def close(self) -> None:

@@ -171,9 +171,11 @@ def _insertions(model: str, changes: str, setting: str, cells: int) -> Any:
     document: dict[str, Any] = contract.model_dump(mode="json")
     document["dsl"] |= {"mode": wanted["lock"], **changed.pop("dsl", {})}
     document["compliance"] |= changed.pop("compliance", {})
-    changed_contract: Any = type(contract).model_validate(document | changed)
+    contract_type: Any = module("contract").PolicyContract
     ceiling, reward = wanted["force_ceiling_n"], wanted["reward"]
-    return module("insertion").Insertions(changed_contract, cells, wanted["part"], 1, ceiling, reward)
+    return module("insertion").Insertions(
+        contract_type.model_validate(document | changed), cells, wanted["part"], 1, ceiling, reward
+    )
 
 
 def _digest(value: Any) -> str:

@@ -88,7 +88,7 @@ class EpisodeResult:
     code: str | None = None
 
 
-class Section(BaseModel):
+class ResultsSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
@@ -117,7 +117,7 @@ class Setting:
     first_seed: int
 
 
-class Session(Section):
+class MeasuringSession(ResultsSection):
     """One stretch of measuring.
 
     Attributes:
@@ -139,7 +139,7 @@ class Session(Section):
     wall_s: float
 
 
-class Replay(Section):
+class Replay(ResultsSection):
     """Episodes that were played again with earlier and with later sources.
 
     Attributes:
@@ -161,7 +161,7 @@ class Replay(Section):
     as_on_file: int | None
 
 
-class Carried(Section):
+class Carried(ResultsSection):
     """One change of the sources that results were carried over, because it alters no episode.
 
     Attributes:
@@ -189,11 +189,11 @@ class Carried(Section):
     replays: tuple[Replay, ...]
 
 
-class Block(Section):
+class Block(ResultsSection):
     """Episodes under one setting, in the order of their seeds."""
 
     setting: Setting
-    sessions: tuple[Session, ...] = ()
+    sessions: tuple[MeasuringSession, ...] = ()
     episodes: tuple[EpisodeResult, ...] = ()
 
     @field_validator("episodes", mode="before")
@@ -290,7 +290,7 @@ HEADER = (
 )
 
 
-class Results(Section):
+class Results(ResultsSection):
     """All measurements of one policy.
 
     Attributes:

@@ -30,11 +30,11 @@ class ExperimentError(ValueError):
     """An experiment cannot be found, read or run; the text names every field at fault."""
 
 
-class Section(BaseModel):
+class ExperimentSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class TaskSection(Section):
+class TaskSection(ExperimentSection):
     """The task: what the training plays.
 
     Attributes:
@@ -83,7 +83,7 @@ class TaskSection(Section):
         return self
 
 
-class PolicySection(Section):
+class PolicySection(ExperimentSection):
     """Changes to the policy's contract; None: as `training.environment.design` makes it.
 
     Attributes:
@@ -116,7 +116,7 @@ class PolicySection(Section):
         )
 
 
-class AdmittedSection(Section):
+class AdmittedSection(ExperimentSection):
     """Use that the policy is admitted for, if it differs from its training; a cell refuses any other use.
 
     Attributes:
@@ -128,7 +128,7 @@ class AdmittedSection(Section):
     clearance_mm: tuple[Positive, Positive] | None = None
 
 
-class AlgorithmSection(Section):
+class AlgorithmSection(ExperimentSection):
     """PPO: network, sizes and rates.
 
     Attributes:
@@ -177,7 +177,7 @@ class AlgorithmSection(Section):
         return self
 
 
-class EvaluationSection(Section):
+class EvaluationSection(ExperimentSection):
     """Evaluations during the training: deterministic policy, nominal plant, the validation's seeds.
 
     Attributes:
@@ -193,7 +193,7 @@ class EvaluationSection(Section):
     conditions: Conditions | None = None
 
 
-class Experiment(Section):
+class Experiment(ExperimentSection):
     """One experiment, trained once for each of its seeds.
 
     Attributes:

@@ -22,7 +22,7 @@ from training.learning.export import network_of, to_onnx
 from training.learning.network import ActorCritic
 from training.learning.parallel import start
 from training.learning.rollout import Collector, Rollout
-from training.learning.run import CheckpointError, Run, beginning, contract_in, directory_of, read, save
+from training.learning.run import CheckpointError, TrainingRun, beginning, contract_in, directory_of, read, save
 from training.learning.validation import score, validate
 from training.learning.worker import make_cells
 
@@ -35,7 +35,7 @@ class TrainingError(RuntimeError):
     """A training cannot go on; the text says why."""
 
 
-def learn(run: Run, start_from: Path | None = None, deadline_s: float = float("inf")) -> ActorCritic:
+def learn(run: TrainingRun, start_from: Path | None = None, deadline_s: float = float("inf")) -> ActorCritic:
     """Train one experiment and seed, or go on with it; all files go to the run's folder.
 
     Args:
@@ -68,7 +68,7 @@ def untrained(experiment: Experiment, seed: int) -> ActorCritic:
 class _Training:
     """The state of a training under way."""
 
-    def __init__(self, run: Run, start_from: Path | None) -> None:
+    def __init__(self, run: TrainingRun, start_from: Path | None) -> None:
         self._run = run
         self._experiment = run.experiment
         self._algorithm = run.experiment.algorithm

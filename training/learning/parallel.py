@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from training.environment.vector import Ended, EndlessCells, EndlessInsertions, Float32Array, Job, Step
+from training.environment.vector import Ended, EndlessCells, EndlessInsertions, Float32Array, Step, WorkerJob
 
 MakeInsertions = Callable[[int], EndlessInsertions]
 """A picklable function that makes the cells of worker number i."""
@@ -66,7 +66,7 @@ class ParallelInsertions:
             Ended.joined([step.ended for step in steps]),
         )
 
-    def run(self, jobs: Sequence[Job]) -> list[Any]:
+    def run(self, jobs: Sequence[WorkerJob]) -> list[Any]:
         results: list[Any] = [None] * len(jobs)
         self._ask([tuple(jobs[number :: self.workers]) for number in range(self.workers)])
         for number, done in enumerate(self._answers()):
@@ -132,7 +132,7 @@ def _work(pipe: Connection, make: MakeInsertions, number: int) -> None:
                 pipe.send(_Failure(error))
 
 
-def _answer(cells: EndlessInsertions, request: "tuple[Job, ...] | npt.NDArray[Any] | None") -> Any:
+def _answer(cells: EndlessInsertions, request: "tuple[WorkerJob, ...] | npt.NDArray[Any] | None") -> Any:
     if request is None:
         return cells.reset()
     if isinstance(request, tuple):

@@ -32,7 +32,7 @@ class CheckpointError(ValueError):
     """A file of weights cannot be read or is not for this experiment."""
 
 
-class Run:
+class TrainingRun:
     """The folder of one experiment and seed; it may hold a training under way.
 
     Args:

@@ -303,9 +303,7 @@ def _measured(card: Card) -> Iterator[ReportBlock]:
             [*header, "peak force, median / p99 / max, N", "faults"], [_block_row(block) for block in card.blocks]
         )
     if card.recorded:
-        yield Paragraph(
-            "Recorded in the file, which names neither part, lock and ceiling nor the measured version:"
-        )
+        yield Paragraph("Recorded in the file, which names neither part, lock and ceiling nor the measured version:")
         yield Table(
             ["clearance", "conditions", "success", "peak force, median / max, N"],
             [

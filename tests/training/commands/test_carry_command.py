@@ -17,7 +17,7 @@ from training.__main__ import app
 from training.evaluation import evaluate as evaluation
 from training.evaluation import provenance, through_service
 from training.evaluation.baseline import scripted_search
-from training.evaluation.results import Block, Results, Session, Setting, Through
+from training.evaluation.results import Block, MeasuringSession, Results, Setting, Through
 
 SENSOR = "sim_backend/world/sensor.py"
 pytestmark = pytest.mark.timeout(300)
@@ -147,7 +147,7 @@ def test_episodes_that_differ_from_the_file_are_refused_only_on_the_machine_that
     results = Results.load(path)
     (block,) = results.blocks
     first, *others = block.episodes
-    session = Session(
+    session = MeasuringSession(
         ended="2026-01-01",
         commit=None,
         machine=provenance.machine() if machine == "this one" else machine,
