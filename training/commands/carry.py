@@ -1,6 +1,8 @@
 """`carry`: carry results over a change of the sources that alters no episode, by playing episodes before and after."""
 
+import signal
 from pathlib import Path
+from types import FrameType
 from typing import Annotated
 
 import typer
@@ -12,6 +14,7 @@ from training.evaluation import provenance
 from training.evaluation.results import RESULTS, ResultsError
 
 EXIT_DIFFERENT = 1
+EXIT_INTERRUPTED = 130
 
 
 def carry(
@@ -34,6 +37,7 @@ def carry(
     one episode differs, no file is changed. Episodes are also compared with those on file. They must be equal if 25
     are played at once, as in `evaluate`, with machine and versions as measured; otherwise the equal ones are counted.
     """
+    signal.signal(signal.SIGTERM, _interrupt)
     folders = results or [RESULTS, RESULTS / "fresh-seeds"]
     paths = [path for folder in folders for path in (sorted(folder.glob("*.json")) if folder.is_dir() else [folder])]
     service = not environment_only
@@ -53,6 +57,8 @@ def carry(
                     bar.update(1)
             if after.sources() != present:
                 raise carrying.CarryError("the present sources changed meanwhile: play again")
+    except KeyboardInterrupt:
+        refuse("carry", "interrupted; nothing is changed", EXIT_INTERRUPTED)
     except carrying.CarryError as error:
         refuse("carry", f"nothing is changed: {error}", EXIT_DIFFERENT)
     except (PolicyError, ResultsError) as error:
@@ -68,3 +74,7 @@ def carry(
             own = [(r.episodes, r.as_on_file) for r in played if r.as_on_file is not None]
             typer.echo(f"{through}: {sum(like for _, like in own)} of {sum(n for n, _ in own)} are as on file")
     typer.echo(f"carried {len(paths)} files from {earlier.sources[:12]} to {present.sources[:12]}")
+
+
+def _interrupt(signum: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

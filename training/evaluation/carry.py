@@ -33,7 +33,8 @@ COMPARED = {
 """Compared quantities by player of the episode; an episode in real time never repeats bit for bit."""
 ROUNDING = 0.500001e-3
 """Largest difference between a float and its value on file, which has three decimals."""
-STOP_S = 10.0
+STOP_S = 15.0
+"""Host time allowed for a player to end, with the service that it may be running."""
 
 
 class CarryError(RuntimeError):
@@ -121,7 +122,11 @@ class Player:
     def __exit__(self, *_: object) -> None:
         with self._close:
             self._process.terminate()
-            self._process.communicate(timeout=STOP_S)
+            try:
+                self._process.communicate(timeout=STOP_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.communicate()
 
     def ask(self, request: dict[str, Any]) -> None:
         """Send a request; `answer` waits for what comes of it."""

@@ -8,6 +8,7 @@ names, so this file imports nothing of the project by itself: `MODULES` names wh
 import hashlib
 import importlib
 import json
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -203,6 +204,7 @@ def answer(line: str) -> dict[str, Any]:
 
 def main(lines: Sequence[str] | Any) -> None:
     """Answer line by line; what the project prints goes to the error stream."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the service's processes end with this one
     answers, sys.stdout = sys.stdout, sys.stderr
     for line in lines:
         print(json.dumps(answer(line)), file=answers, flush=True)
