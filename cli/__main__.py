@@ -38,6 +38,9 @@ COMMANDS = {
         "training.commands.report:report", "Write the report of everything in the folder of results.", POLICIES
     ),
     "reproduce": Entry("training.commands.reproduce:reproduce", "Play all of the report's episodes again.", POLICIES),
+    "carry": Entry(
+        "training.commands.carry:carry", "Carry results over a change of the sources that alters no episode.", POLICIES
+    ),
     "baseline": Entry("training.commands.baseline:baseline", "Write a scripted policy.", POLICIES),
     "gallery": Entry("training.commands.gallery:gallery", "Draw each part's insertion.", POLICIES),
     "config": Entry("cli.config:app", "Write, check and describe the configuration of a cell.", PROJECT),

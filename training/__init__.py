@@ -1,6 +1,6 @@
-"""Training, evaluation and export of policies. Importing it registers `dsl_assembly/PegInHole-v0` with Gymnasium.
+"""Training, evaluation and export of policies; the import registers `dsl_assembly/PegInHole-v0` with Gymnasium.
 
-Gymnasium comes with the extra `training`; what needs it says so by its own import.
+Gymnasium comes with the extra `training`. Modules that need it import it themselves.
 """
 
 from importlib.util import find_spec

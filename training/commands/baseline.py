@@ -1,4 +1,4 @@
-"""`baseline`: write the policies that nobody trained, which learned ones are compared with."""
+"""`baseline`: write policies that nobody trained, to compare learned ones with."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -12,7 +12,7 @@ from training.commands.refusal import refuse_without_extra
 
 
 class Baseline(StrEnum):
-    """What can be written."""
+    """Policies that can be written."""
 
     SEARCH = "search"
     SEARCH_FTM = "search-ftm"

@@ -1,4 +1,4 @@
-"""`export`: from a training to the file that a cell loads."""
+"""`export`: write the policy file of a training."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,7 +10,7 @@ from training.learning.experiment import ExperimentError, load
 
 
 def export(
-    model: Annotated[str, typer.Argument(help="Name of a trained experiment, or weights that end in .pt.")],
+    model: Annotated[str, typer.Argument(help="Name of a trained experiment, or a file of weights that ends in .pt.")],
     out: Annotated[Path, typer.Argument(help="ONNX file to write.")],
     seed: Annotated[int, typer.Option(min=0, help="Seed of the training.")] = 0,
     last: Annotated[bool, typer.Option("--last", help="Take the latest weights, not the best ones.")] = False,

@@ -1,4 +1,4 @@
-"""`gallery`: draw a policy's insertion of every part that it is for."""
+"""`gallery`: draw a policy's insertions, one per part."""
 
 from pathlib import Path
 from typing import Annotated, cast

@@ -1,4 +1,4 @@
-"""Which episodes an environment plays: tasks drawn without end for training, a fixed list for a test."""
+"""Tasks of episodes, drawn without end for training."""
 
 from dataclasses import dataclass
 
@@ -7,16 +7,16 @@ import numpy as np
 from wire.task import Conditions, Part, Task
 
 FIRST_TRAINING_SEED = 2**32
-"""Training draws its seeds from here up; every evaluation uses seeds below. No seed can be in both."""
+"""First seed of the training. Every evaluation uses seeds below, so no seed is in both."""
 
 
 @dataclass(frozen=True, slots=True)
 class TaskSource:
-    """Draws training tasks.
+    """Source of training tasks.
 
     Attributes:
         part: peg and hole.
-        clearance_m: range of clearances per face; the tight end is likelier (a uniform draw to the power 1.5).
+        clearance_m: range of clearances per face; tight ones are likelier (a uniform draw to the power 1.5).
         conditions: distributions of an episode.
         randomise_plant: friction, stiffness, delay, mass and contact vary.
     """

@@ -1,4 +1,4 @@
-"""Cells that play one episode after another, with a privileged view for the critic."""
+"""Cells that play one episode after another, with privileged features for the critic."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,18 +11,18 @@ from training.environment.episodes import TaskSource
 from training.environment.insertion import PRIVILEGED_SIZE, Insertions
 from wire.arrays import Float32Array
 
-Job = Callable[[], Any]
-"""Work beside the training, picklable and with a result that is."""
+WorkerJob = Callable[[], Any]
+"""Work beside the training; the callable and its result must be picklable."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """Episodes that ended in a step, or in several; arrays (k,).
+    """Episodes that ended in one step or in several; arrays (k,).
 
     Attributes:
         success: the peg was in.
         fault: the force ceiling or the arm's controller ended it.
-        steps: taken.
+        steps: number of steps.
         peak_force: largest resultant over every sample, N.
         episode_return: sum of the rewards.
     """
@@ -35,7 +35,7 @@ class Ended:
 
     @classmethod
     def joined(cls, parts: "list[Ended]") -> "Ended":
-        """Return all episodes of `parts`, which must not be empty."""
+        """Join the episodes of `parts`, which must not be empty."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__))
 
     def latest(self, count: int) -> "Ended":
@@ -51,11 +51,11 @@ class Step:
     """One step of every cell; arrays (n, …).
 
     Attributes:
-        features: (n, size) float32, what the policy sees, in raw units, then `PRIVILEGED_SIZE` numbers for the critic.
-            Of the next episode's beginning where one has ended.
+        features: (n, size) float32, the observation in raw units, then `PRIVILEGED_SIZE` numbers for the critic. Where
+            an episode ended, they are those of the next one's beginning.
         reward: float32.
         done: an episode ended, by success, fault or time.
-        ended: how.
+        ended: the episodes that ended.
     """
 
     features: Float32Array
@@ -68,10 +68,10 @@ class EndlessCells(Protocol):
     """Cells that begin a new episode as soon as one ends, in this process or in others.
 
     Attributes:
-        n: how many.
-        feature_size: of the features of each.
-        action_size: of the action of each.
-        workers: processes that they are spread over, this one included.
+        n: number of cells.
+        feature_size: number of features per cell.
+        action_size: size of the action per cell.
+        workers: number of processes that the cells are spread over.
     """
 
     n: int
@@ -80,29 +80,29 @@ class EndlessCells(Protocol):
     workers: int
 
     def reset(self) -> Float32Array:
-        """Begin an episode in every cell; (n, feature_size)."""
+        """Begin an episode in every cell and return the features (n, feature_size)."""
         ...
 
     def step(self, action: npt.NDArray[Any]) -> Step:
-        """One policy step of every cell; `action` (n, action_size) in [-1, 1]."""
+        """Take one policy step in every cell; `action` (n, action_size) in [-1, 1]."""
         ...
 
-    def run(self, jobs: Sequence[Job]) -> list[Any]:
-        """Do `jobs` where the cells are, which stand still meanwhile; return the results in order."""
+    def run(self, jobs: Sequence[WorkerJob]) -> list[Any]:
+        """Run `jobs` in the cells' processes while the cells stand still; return the results in order."""
         ...
 
     def close(self) -> None:
-        """End what steps the cells; may be called again."""
+        """End the cells' processes; may be called again."""
         ...
 
 
 class EndlessInsertions:
-    """`Cells` in this process.
+    """`EndlessCells` in this process.
 
     Args:
         insertions: the cells.
-        tasks: where episodes come from.
-        seed: of their draw.
+        tasks: source of the episodes.
+        seed: seed of their draw.
     """
 
     def __init__(self, insertions: Insertions, tasks: TaskSource, seed: int | list[int] = 0) -> None:
@@ -137,7 +137,7 @@ class EndlessInsertions:
             self._cells.reset(over, self._tasks.draw(self._rng, over.size))
         return Step(self._features(), outcome.reward.astype(np.float32), done, ended)
 
-    def run(self, jobs: Sequence[Job]) -> list[Any]:
+    def run(self, jobs: Sequence[WorkerJob]) -> list[Any]:
         return [job() for job in jobs]
 
     def close(self) -> None:
