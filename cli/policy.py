@@ -52,9 +52,8 @@ def check(
         fail("policy check", f"no recipe {recipe!r}; there are {', '.join(cell.recipes)}", Exit.USAGE)
     asked = cell.recipes[recipe].model_copy(update={"policy": file.resolve()})
     try:
-        policy = PolicyShelf(cell.model_copy(update={"recipes": {recipe: asked}}), make_driver(cell).tick_s).admit(
-            recipe
-        )
+        only = cell.model_copy(update={"recipes": {recipe: asked}})
+        policy = PolicyShelf(only, make_driver(cell).tick_s).admit(recipe)
     except PolicyRefusedError as error:
         fail("policy check", str(error), Exit.FAILED)
     typer.echo(f"{file} fits recipe {recipe} of {cell.cell.id}; SHA-256 {policy.sha256}")

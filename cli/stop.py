@@ -132,7 +132,7 @@ def _past_the_api(url: str, config: Path | None) -> Answer:
 async def _directly(cell_id: str, endpoint: str) -> Answer:
     from service.client import CellClient
     from service.messages import StopRequest
-    from service.standstill import confirm, deliver, is_standing
+    from service.stopping import confirm, deliver, is_standing
 
     async with CellClient(cell_id, [endpoint]) as client:
         request = StopRequest(reason="stop past the API", requested_by="cli")

@@ -11,7 +11,7 @@ from api.problems import SILENT_TEXT, ProblemError, described
 from api.runtime import RuntimeDependency, runtime_of
 from service.client import CellSilentError
 from service.messages import CellState, ResetRequest, Run, StartRequest, StopRequest
-from service.standstill import confirm, deliver, is_standing
+from service.stopping import confirm, deliver, is_standing
 
 router = APIRouter(tags=["commands"])
 _log = structlog.get_logger("api.commands")
