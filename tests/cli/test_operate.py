@@ -5,7 +5,7 @@ import time
 import pytest
 
 from service.faults import FaultCode
-from service.messages import CellState, Problem, Reason
+from service.messages import CellState, Problem, RefusalReason
 from tests.api.wire_cell import RECIPE, WireCell, free_port
 from tests.cli.serving import run, wait_for_state
 
@@ -45,7 +45,7 @@ def test_a_start_as_json_is_the_run_and_nothing_else(url: str, cell: WireCell) -
 
 
 def test_an_unknown_recipe_is_refused_by_name(url: str, cell: WireCell) -> None:
-    cell.refuse_start = Problem(reason=Reason.UNKNOWN_RECIPE, detail="no recipe 'cube'", state=CellState.READY)
+    cell.refuse_start = Problem(reason=RefusalReason.UNKNOWN_RECIPE, detail="no recipe 'cube'", state=CellState.READY)
     done = run("start", "cube", "--url", url)
     assert done.exit_code == 5
     assert "cube" in done.stderr
