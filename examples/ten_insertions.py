@@ -3,20 +3,21 @@
     dsl-assembly serve                    # in another terminal, or `make run`
     python examples/ten_insertions.py --recipe triangle-2mm --count 10
 
-Exit status: 0 every peg is in; 1 a run failed; 2 the cell cannot go on (latched, refused, silent).
+Exit status: 0 every peg is in; 1 a run failed; 2 the cell cannot go on (latched, a start refused, no answer).
 """
 
 import argparse
 import json
 import sys
+import time
 import uuid
+from http import HTTPStatus
 from typing import Any
 
 import httpx
 
-SILENCE_S = 5.0
-"""The event stream carries a status four times a second. After such a silence nobody knows what the cell does."""
-HEAD = f"{'seed':>4}  {'outcome':<24}{'depth':>8}{'peak force':>12}{'steps':>7}{'time':>8}"
+RUN_S = 120.0
+ROW = "{:>4}  {:<20}{:>8}{:>12}{:>7}{:>8}".format
 
 
 class CellError(Exception):
@@ -25,10 +26,10 @@ class CellError(Exception):
 
 def start(http: httpx.Client, recipe: str, seed: int) -> str:
     """Start a run and return its id."""
-    # With the same key the request may be repeated after a lost answer: it starts nothing twice.
+    # After a lost answer the request may be repeated with the same key: the cell starts nothing twice.
     key = {"Idempotency-Key": str(uuid.uuid4())}
     answer = http.post("/start", json={"recipe": recipe, "seed": seed}, headers=key)
-    if answer.status_code != httpx.codes.ACCEPTED:
+    if answer.status_code != HTTPStatus.ACCEPTED:
         problem = answer.json()  # RFC 9457: `reason` for programs, `detail` for people
         raise CellError(f"start refused, {problem['reason']}: {problem['detail']}")
     return answer.json()["id"]
@@ -36,17 +37,17 @@ def start(http: httpx.Client, recipe: str, seed: int) -> str:
 
 def follow(http: httpx.Client, run_id: str) -> dict[str, Any]:
     """Read the event stream until this run has ended and the arm stands; return the last status."""
-    with http.stream("GET", "/events", timeout=SILENCE_S) as stream:
-        # A status and a line of the journal differ in their fields; only a status has `can_start`.
+    deadline = time.monotonic() + RUN_S
+    with http.stream("GET", "/events") as stream:  # a status four times a second, and the lines of the journal
         for line in stream.iter_lines():
-            status = json.loads(line.removeprefix("data: ")) if line.startswith("data: ") else {}
-            if "can_start" not in status:
-                continue
-            if status["state"] == "UNKNOWN":
-                raise CellError(f"the cell is silent: {status['why_not']}")
-            run = status["run"] or {}
-            if run.get("id") == run_id and run["state"] != "ACTIVE" and status["state"] in ("READY", "LATCHED"):
-                return status
+            told: dict[str, Any] = json.loads(line.removeprefix("data: ")) if line.startswith("data: ") else {}
+            if "can_start" not in told:
+                continue  # no status
+            run: dict[str, Any] = told["run"] or {}
+            if run.get("id") == run_id and run["state"] != "ACTIVE" and told["state"] in ("READY", "LATCHED"):
+                return told
+            if time.monotonic() > deadline:  # UNKNOWN: the cell is silent
+                raise CellError(f"no end of {run_id} in {RUN_S:g} s; the cell is {told['state']}: {told['why_not']}")
     raise CellError("the event stream ended: does the API still run?")
 
 
@@ -60,7 +61,7 @@ def refuse_latched(status: dict[str, Any]) -> None:
 def insert(http: httpx.Client, recipe: str, count: int) -> int:
     """Run the insertions; return how many pegs went in."""
     refuse_latched(http.get("/status").raise_for_status().json())
-    print(HEAD, flush=True)
+    print(ROW("seed", "outcome", "depth", "peak force", "steps", "time"), flush=True)
     inserted = 0
     for seed in range(count):
         run_id = start(http, recipe, seed)
@@ -68,8 +69,8 @@ def insert(http: httpx.Client, recipe: str, count: int) -> int:
         run = http.get(f"/runs/{run_id}").raise_for_status().json()  # the record, with its final figures
         inserted += run["state"] == "SUCCEEDED"
         depth = "–" if run["depth_m"] is None else f"{run['depth_m'] * 1e3:.1f} mm"
-        figures = f"{run['peak_force_n']:.1f} N".rjust(12) + f"{run['steps']:>7}{run['duration_s']:>6.1f} s"
-        print(f"{seed:>4}  {run['code'] or run['state']:<24}{depth:>8}{figures}", flush=True)
+        force, seconds = f"{run['peak_force_n']:.1f} N", f"{run['duration_s']:.1f} s"
+        print(ROW(seed, run["code"] or run["state"], depth, force, run["steps"], seconds), flush=True)
         refuse_latched(status)
     return inserted
 
