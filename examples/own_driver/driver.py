@@ -15,7 +15,7 @@ from wire.law import ComplianceLaw, ControlLimits
 from wire.task import Task
 
 CAMERA_ERROR_M = np.array([2.5e-3, 0.0, 0.0])
-"""The camera sees the hole so far off that the tip lands beside it: the policy must find the hole by touch."""
+"""So far off does the camera see the hole: the tip lands beside it, and the policy finds the hole by touch."""
 
 
 class PointMassDriver:
@@ -35,7 +35,7 @@ class PointMassDriver:
 
     @property
     def clock(self) -> Callable[[], float]:
-        """The cell knows no other clock, so every deadline of it counts in this world's time."""
+        """The cell reads no other clock: all its deadlines count in this world's time."""
         return lambda: self._ticks * TICK_S
 
     async def connect(self, sink: SampleSink) -> None:
@@ -50,7 +50,7 @@ class PointMassDriver:
         self._episode, self._seq = self._episode + 1, 0
 
     def engage(self, law: ComplianceLaw, limits: ControlLimits) -> None:
-        """Pass both on: law and limits are the arm's to keep, 500 times a second, whatever happens to this process."""
+        """Pass law and limits on: the arm itself keeps them, whatever happens to this process."""
         self._arm.engage(law, limits, self.clock())
 
     def send_target(self, target: PoseTarget) -> int:
@@ -60,7 +60,7 @@ class PointMassDriver:
         return self._command_seq
 
     def stop(self) -> None:
-        """Never block, never raise, in any state. One that must wait for a socket hands the stop to a thread."""
+        """Never block, never raise, in any state. Where a stop has to wait for a socket, a thread does the waiting."""
         self._arm.stop(StopReason.COMMAND)
 
     def escalate(self) -> None:
@@ -86,7 +86,7 @@ class PointMassDriver:
         while True:
             self._ticks, self._seq = self._ticks + 1, self._seq + 1
             self._arm.tick(self.clock())
-            sink.on_sample(self._sample())  # the cell judges it and gives its orders before this returns
+            sink.on_sample(self._sample())  # the cell judges it and calls the methods above before this returns
             await asyncio.sleep(0)
 
     def _sample(self) -> Sample:

@@ -1,9 +1,9 @@
-"""A driver of one's own under the real cell: one insertion, one block without a hole, one part that bears little.
+"""A driver of one's own under the real cell: an insertion, a block without a hole, and a stop at a force ceiling.
 
     python examples/own_driver/insert.py
 
-The cell, its safety and the shipped policy are those of a robot cell; only the arm is a toy of a few lines (world.py).
-A driver that is to be named in a cell's configuration is also made in `service/__main__.py`.
+The cell, its process protection and the policy are those that ship; only the arm is a toy (world.py). To name a driver in a cell's
+configuration, add it to `cell.driver` in `service/config.py` and make it in `service/__main__.py`.
 """
 
 import asyncio
@@ -23,7 +23,7 @@ POLICY = Path(__file__).parents[2] / "models" / "vftm-dsl.onnx"
 
 
 async def play(state_dir: Path, radius_m: float, force_ceiling_n: float) -> Run:
-    """Run one insertion with our driver in the simulated one's place, and say what the cell said."""
+    """Run one insertion with our driver in place of the simulated one, and print what the cell reported."""
 
     def make_arm(seed: int) -> PointMassArm:
         aside = np.random.default_rng(seed).uniform(-0.01, 0.01, 2)

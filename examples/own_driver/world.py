@@ -15,7 +15,7 @@ HOLE_RADIUS_M = 2e-3
 BLOCK_N_M = 20_000.0
 """How stiffly the block pushes back, N per m of penetration."""
 NOISE = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])
-"""Of the sensor, N and N·m. Without noise, ten equal readings in a row would count as a sensor that is stuck."""
+"""The sensor's noise, N and N·m. The cell takes ten equal readings in a row for a stuck sensor."""
 
 
 class PointMassArm:
@@ -43,12 +43,15 @@ class PointMassArm:
         self.program, self.stop_reason, self.peak_force_n = Program.ENGAGED, StopReason.NONE, 0.0
 
     def go_to(self, target: PoseTarget, now_s: float) -> None:
-        """Take a new target, if it is one that the limits allow."""
-        (lower, upper), way = self.limits.workspace, target.position - self.target
+        """Take a new target, or stop for one that the limits do not allow."""
+        if self.program is not Program.ENGAGED:
+            return
+        (lower, upper), step_m = self.limits.workspace, float(np.linalg.norm(target.position - self.target))
         inside = bool(((target.position >= lower) & (target.position <= upper)).all())
-        if not inside or np.linalg.norm(way) > self.limits.max_step[0]:
+        if inside and step_m <= self.limits.max_step[0]:
+            self.target, self.rotvec, self._target_s = target.position, target.rotvec, now_s
+        else:
             self.stop(StopReason.TARGET_REJECTED)
-        self.target, self.rotvec, self._target_s = target.position, target.rotvec, now_s
 
     def wrench(self) -> FloatArray:
         """Read the sensor, (6,) N and N·m."""
@@ -59,7 +62,7 @@ class PointMassArm:
         self._bias = self._bias - self.wrench()
 
     def stop(self, reason: StopReason) -> None:
-        """Hold where it is. A point mass stands at once; a real arm decelerates first, and says STOPPING meanwhile."""
+        """Hold where it is. A point mass stands at once; a real arm decelerates first and reports STOPPING meanwhile."""
         if self.program is Program.ENGAGED:
             self.stop_reason = reason
         self.program, self.velocity = Program.IDLE, np.zeros(3)
