@@ -1,4 +1,4 @@
-"""What the control process computes per sample and per policy step, beside one bare call of ONNX Runtime."""
+"""Computing time of the control process per sample and per policy step, beside one bare call of ONNX Runtime."""
 
 import asyncio
 import time
@@ -12,7 +12,7 @@ from benchmarks.harness.result import QUANTILES, Result, UnavailableError, media
 from benchmarks.harness.stopwatch import timed
 from benchmarks.stands.shipped_cell import ShippedCell, shipped_cell
 from service.cell.cell import Cell
-from service.cell.process import standing
+from service.cell.process import attended
 from service.messages import CellState, RunResult, StartRequest
 from service.policy.model import Policy
 from service.testing.in_process import InProcessDriver
@@ -50,13 +50,13 @@ def measure(scale: float) -> Result:
         finding=f"A policy step costs {median(steps) * 1e6:.0f} µs of a tick's 2000 (median), "
         f"or {median(steps) / reference:.0f} bare calls.",
         method=f"{runs} whole insertions in lockstep in this process, recipe {shipped.recipe}, {shipped.policy.name}; "
-        "from the driver handing over a sample to the command written as its wire record.",
+        "from the driver's delivery of a sample to the command encoded as its wire record.",
     )
 
 
 async def _insert(shipped: ShippedCell, runs: int) -> None:
     cell = Cell(shipped.config, InProcessDriver(SimulatedCell()))
-    async with standing(cell):
+    async with attended(cell):
         for seed in range(runs):
             await _until_ready(cell)
             answer = await cell.start(StartRequest(recipe=shipped.recipe, seed=seed))

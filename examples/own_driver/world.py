@@ -62,7 +62,7 @@ class PointMassArm:
         self._bias = self._bias - self.wrench()
 
     def stop(self, reason: StopReason) -> None:
-        """Hold where it is. A point mass stands at once; a real arm decelerates first and reports STOPPING meanwhile."""
+        """Hold where it is. A point mass stands at once; a real arm decelerates and reports STOPPING."""
         if self.program is Program.ENGAGED:
             self.stop_reason = reason
         self.program, self.velocity = Program.IDLE, np.zeros(3)

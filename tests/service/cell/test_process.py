@@ -14,12 +14,12 @@ import pytest
 
 from service.cell import process
 from service.cell.cell import Cell
-from service.cell.process import alone, standing
+from service.cell.process import alone, attended
 from service.client import CellClient
 from service.drivers.base import Program
 from service.drivers.zenoh_sim import ZenohSimDriver
 from service.faults import FaultCode
-from service.messages import CellState, Reason, Refused, ResetRequest, RunResult, RunState, StartRequest
+from service.messages import CellState, RefusalReason, Refused, ResetRequest, RunResult, RunState, StartRequest
 from service.testing import RECIPE, cell_config
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
@@ -40,7 +40,7 @@ async def until(condition: Callable[[], object], seconds: float = 30.0) -> None:
 async def cell_over_zenoh(tmp_path: Path, endpoint: str) -> AsyncIterator[Cell]:
     config = cell_config(tmp_path / "state", policies.still(tmp_path), LIMITS, conditions="easy")
     cell = Cell(config, ZenohSimDriver("world-1", [endpoint], "real_time"))
-    async with standing(cell):
+    async with attended(cell):
         await until(lambda: cell.state in (CellState.READY, CellState.LATCHED))
         yield cell
 
@@ -76,7 +76,7 @@ async def test_a_simulator_that_is_gone_or_frozen_latches_stale(tmp_path: Path, 
             assert (run.state, run.code) == (RunState.LATCHED, FaultCode.STALE)
             answer = await cell.reset(ResetRequest())
             assert isinstance(answer, Refused)
-            assert answer.problem.reason is Reason.NO_MEASUREMENT
+            assert answer.problem.reason is RefusalReason.NO_MEASUREMENT
             if number is signal.SIGSTOP:
                 simulator.send_signal(signal.SIGCONT)
                 await until(lambda: cell.status().measured is not None and not cell.unlinked.is_set())
