@@ -29,7 +29,7 @@ def experiment(steps: int) -> Experiment:
         {
             "name": "example",
             "title": "A first look at training",
-            "task": {"clearance_mm": [3.0, 3.0], "conditions": "easy", "randomise_plant": False, "max_steps": 60},
+            "task": {"clearance_mm": [3.0, 3.0], "conditions": "easy", "randomise_plant": False, "max_steps": 45},
             "policy": {"press_mm": 3.0},  # how far below the depth lock a command may go
             "algorithm": {
                 "steps": steps,
