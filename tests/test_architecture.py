@@ -14,12 +14,12 @@ from service.faults import FaultCode
 
 ROOT = Path(__file__).resolve().parents[1]
 RUNTIME = ("wire", "service", "sim_backend", "api")
-PACKAGES = (*RUNTIME, "training", "benchmarks")
+PACKAGES = (*RUNTIME, "training", "benchmarks", "cli")
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 RUNTIME_MODULES = [
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
     for path in MODULES
-    if path.relative_to(ROOT).parts[0] in RUNTIME and path.name != "__main__.py"
+    if path.relative_to(ROOT).parts[0] in RUNTIME
 ]
 EXAMPLES = sorted((ROOT / "examples").rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from service.cell.arm_stops import why_not_drive
 from service.cell.orders import Disengage, Engage, Fail, Halt, Infer, Move, Order, Succeed, ZeroFt
 from service.cell.path import Progress, StraightPath
 from service.cell.plan import Plan
 from service.cell.tick_record import TickRecord
-from service.drivers.base import PoseTarget, Program, RobotMode, SafetyMode, Sample, StopReason
+from service.drivers.base import PoseTarget, Program, Sample
 from service.faults import FaultCode
 from service.policy.step import Seen
 from service.safety import dsl, preflight
@@ -44,20 +45,6 @@ SUCCESS_STEPS = 2
 """Policy steps in a row below `success_depth_m` that count as inserted."""
 SURFACE_DOUBT_M = 2.5e-3
 """A first contact further than this from the estimated surface is not the surface: the tip was already in the hole."""
-
-ARM_STOPS: dict[StopReason, FaultCode] = {
-    StopReason.NONE: FaultCode.LINK,
-    StopReason.COMMAND: FaultCode.AUTHORITY,
-    StopReason.FORCE_CEILING: FaultCode.FORCE_CEILING,
-    StopReason.TARGET_AGE: FaultCode.LINK,
-    StopReason.TARGET_REJECTED: FaultCode.BOUNDS,
-    StopReason.JOINT_LIMIT: FaultCode.KINEMATICS,
-    StopReason.KINEMATICS: FaultCode.KINEMATICS,
-    StopReason.PROTECTIVE_FORCE: FaultCode.PROTECTIVE_STOP,
-    StopReason.LEASE: FaultCode.AUTHORITY,
-    StopReason.PROGRAM_ENDED: FaultCode.AUTHORITY,
-}
-"""Fault of a run for each reason for which the arm's own controller stops."""
 
 
 class Stage(StrEnum):
@@ -158,7 +145,8 @@ class Insertion:
     def _advance(self, sample: Sample) -> Iterator[Order]:
         if self._ended:
             return
-        if (halt := self._judge_arm(sample)) is not None:
+        driven = self._stage in (Stage.APPROACHING, Stage.INSERTING, Stage.RETRACTING)
+        if (halt := why_not_drive(sample, engaged=driven)) is not None:
             self._ended = True
             yield halt
             return
@@ -178,18 +166,6 @@ class Insertion:
                 yield from self._insert(sample)
             case Stage.RETRACTING:
                 yield from self._retract(sample)
-
-    def _judge_arm(self, sample: Sample) -> Halt | None:
-        if sample.program is Program.PROTECTIVE_STOP:
-            return Halt(FaultCode.PROTECTIVE_STOP, "the arm is in its protective stop: inspect the cell, then reset")
-        if sample.robot_mode != RobotMode.RUNNING or sample.safety_mode != SafetyMode.NORMAL:
-            modes = f"robot mode {sample.robot_mode}, safety mode {sample.safety_mode}"
-            return Halt(FaultCode.AUTHORITY, f"the arm is not ours to move: {modes}")
-        driven = self._stage in (Stage.APPROACHING, Stage.INSERTING, Stage.RETRACTING)
-        if driven and sample.program is not Program.ENGAGED:
-            reason = sample.stop_reason
-            return Halt(ARM_STOPS[reason], f"the arm's controller stopped by itself: {reason.name}")
-        return None
 
     def _await_free(self, sample: Sample) -> Iterator[Order]:
         """Zero the sensor once the tool stands and carries nothing; zeroing in contact would hide the contact."""

@@ -20,7 +20,10 @@ class Baseline(StrEnum):
 
 
 def baseline(
-    which: Annotated[Baseline, typer.Argument(help="Scripted search about the estimate or the nominal centre; still.")],
+    which: Annotated[
+        Baseline,
+        typer.Argument(help="Search about the camera's estimate, search about the nominal centre, or no motion."),
+    ],
     out: Annotated[Path, typer.Argument(help="ONNX file to write.")],
 ) -> None:
     """Write a scripted policy: spiral and yaw sweep, or one that asks for nothing."""

@@ -39,27 +39,36 @@ _REMEDY = "choose another --name or folder, or drop them (evaluate: --anew)"
 def evaluate(
     model: Annotated[Path, typer.Argument(help="ONNX file of the policy.")],
     plan: Annotated[list[paper.Plan] | None, typer.Option(help="Cells of a table; may be repeated.")] = None,
-    clearance: Annotated[list[float] | None, typer.Option(help="Per face, mm; may be repeated.")] = None,
-    part: Annotated[Part | None, typer.Option(help="With --clearance; default: the policy's first.")] = None,
-    conditions: Annotated[
-        Conditions | None, typer.Option(help="Of an episode; default: the plan's, `search` for FTM, else `standard`.")
+    clearance: Annotated[list[float] | None, typer.Option(help="Clearance per face, mm; may be repeated.")] = None,
+    part: Annotated[
+        Part | None, typer.Option(help="Part to insert with --clearance; default: the policy's first.")
     ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Per cell; those that are there already are kept.")] = 500,
+    conditions: Annotated[
+        Conditions | None,
+        typer.Option(help="Conditions of an episode; default: the plan's, `search` for FTM, else `standard`."),
+    ] = None,
+    episodes: Annotated[
+        int, typer.Option(min=1, help="Episodes per cell of the table; those already there are kept.")
+    ] = 500,
     through: Annotated[
         Through, typer.Option(help="The batched environment, or the deployed service with a simulated or a UR arm.")
     ] = "environment",
     lock: Annotated[str, typer.Option(help="Run under another lock than the policy's: paper, sliding or off.")] = "",
-    reward: Annotated[RewardName, typer.Option(help="That returns are sums of.")] = "paper",
+    reward: Annotated[RewardName, typer.Option(help="Reward that the returns sum up.")] = "paper",
     force_ceiling: Annotated[
-        float, typer.Option(min=1.0, max=FORCE_HARD_MAXIMUM_N, help="N; an episode ends there.")
+        float, typer.Option(min=1.0, max=FORCE_HARD_MAXIMUM_N, help="Force that ends an episode, N.")
     ] = CEILING_N,
-    first_seed: Annotated[int, typer.Option(min=0, help="Seeds count up from here.")] = evaluation.FIRST_TEST_SEED,
-    workers: Annotated[int, typer.Option(min=0, help="Played at once; 0: one per core, through RTDE one.")] = 0,
-    name: Annotated[str, typer.Option(help="Of the results; default: the file's.")] = "",
+    first_seed: Annotated[
+        int, typer.Option(min=0, help="First seed; the others count up from it.")
+    ] = evaluation.FIRST_TEST_SEED,
+    workers: Annotated[
+        int, typer.Option(min=0, help="Episodes played at once; 0: one per core, through RTDE one.")
+    ] = 0,
+    name: Annotated[str, typer.Option(help="Name of the results; default: the file's.")] = "",
     results: Annotated[Path, typer.Option(help="Folder of the results.")] = RESULTS,
     anew: Annotated[
         bool,
-        typer.Option("--anew", help="Drop what is there of another file or of other sources."),
+        typer.Option("--anew", help="Drop results of another file or of other sources."),
     ] = False,
     record: Annotated[bool, typer.Option("--record", help="Write the figures into the model's contract.")] = False,
 ) -> None:

@@ -12,10 +12,12 @@ from training.learning.experiment import ExperimentError, load
 def export(
     model: Annotated[str, typer.Argument(help="Name of a trained experiment, or weights that end in .pt.")],
     out: Annotated[Path, typer.Argument(help="ONNX file to write.")],
-    seed: Annotated[int, typer.Option(min=0, help="Of the training.")] = 0,
-    last: Annotated[bool, typer.Option("--last", help="The latest weights, not those that did best.")] = False,
-    experiment: Annotated[str, typer.Option(help="Whose contract weights have that bring none with them.")] = "",
-    name: Annotated[str, typer.Option(help="Of the policy; default: the experiment's.")] = "",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the training.")] = 0,
+    last: Annotated[bool, typer.Option("--last", help="Take the latest weights, not the best ones.")] = False,
+    experiment: Annotated[
+        str, typer.Option(help="Experiment whose contract to take where the weights name none.")
+    ] = "",
+    name: Annotated[str, typer.Option(help="Name of the policy; default: the experiment's.")] = "",
 ) -> None:
     """Write a trained policy: network, normalisation and contract in one file."""
     try:

@@ -21,7 +21,7 @@ def train(
     ],
     seed: Annotated[
         list[int] | None,
-        typer.Option(min=0, help="Of the training; may be repeated. Default: those of the experiment."),
+        typer.Option(min=0, help="Seed of the training; may be repeated. Default: those of the experiment."),
     ] = None,
     start_from: Annotated[
         Path | None, typer.Option(help="Weights to begin with (a .pt), in place of what the experiment says.")
