@@ -71,6 +71,7 @@ def evaluate(
         bool,
         typer.Option("--anew", help="Drop results of another file or of other sources."),
     ] = False,
+    record: Annotated[bool, typer.Option("--record", help="Write the figures into the model's contract.")] = False,
 ) -> None:
     """Play fresh seeds with the deterministic policy; print successes, steps and peak forces.
 
