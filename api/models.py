@@ -49,6 +49,7 @@ class StartBody(BaseModel):
     seed: int | None = Field(
         None, ge=0, lt=2**53, strict=True, description="Of the simulated world; drawn if left out. A real arm has none."
     )
+    operator: str = Field("", max_length=64, description="Who asks; stands in the run's `requested_by`.")
 
 
 class ResetBody(BaseModel):

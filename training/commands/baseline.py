@@ -22,7 +22,7 @@ class Baseline(StrEnum):
 def baseline(
     which: Annotated[
         Baseline,
-        typer.Argument(help="Scripted search around the estimate, or around the nominal centre, or a still policy."),
+        typer.Argument(help="Search about the camera's estimate, search about the nominal centre, or no motion."),
     ],
     out: Annotated[Path, typer.Argument(help="ONNX file to write.")],
 ) -> None:

@@ -38,42 +38,40 @@ _REMEDY = "choose another --name or folder, or drop them (evaluate: --anew)"
 
 def evaluate(
     model: Annotated[Path, typer.Argument(help="ONNX file of the policy.")],
-    plan: Annotated[
-        list[paper.TablePlan] | None, typer.Option(help="Table whose cells to measure; may be repeated.")
-    ] = None,
+    plan: Annotated[list[paper.TablePlan] | None, typer.Option(help="Cells of a table; may be repeated.")] = None,
     clearance: Annotated[list[float] | None, typer.Option(help="Clearance per face, mm; may be repeated.")] = None,
     part: Annotated[
-        Part | None, typer.Option(help="Peg and hole for --clearance; default: the policy's first.")
+        Part | None, typer.Option(help="Part to insert with --clearance; default: the policy's first.")
     ] = None,
     conditions: Annotated[
         Conditions | None,
-        typer.Option(help="Distributions of an episode; default: the plan's, or `search` for FTM and `standard` else."),
+        typer.Option(help="Conditions of an episode; default: the plan's, `search` for FTM, else `standard`."),
     ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes per cell; kept ones are not played again.")] = 500,
+    episodes: Annotated[
+        int, typer.Option(min=1, help="Episodes per cell of the table; those already there are kept.")
+    ] = 500,
     through: Annotated[
         Through,
         typer.Option(help="Player: the batched environment, or the deployed service with the simulated or a UR arm."),
     ] = "environment",
-    lock: Annotated[str, typer.Option(help="Lock in place of the policy's own: paper, sliding or off.")] = "",
-    reward: Annotated[RewardName, typer.Option(help="Reward whose sums are the returns.")] = "paper",
+    lock: Annotated[str, typer.Option(help="Run under another lock than the policy's: paper, sliding or off.")] = "",
+    reward: Annotated[RewardName, typer.Option(help="Reward that the returns sum up.")] = "paper",
     force_ceiling: Annotated[
-        float, typer.Option(min=1.0, max=FORCE_HARD_MAXIMUM_N, help="Force at which an episode ends, N.")
+        float, typer.Option(min=1.0, max=FORCE_HARD_MAXIMUM_N, help="Force that ends an episode, N.")
     ] = CEILING_N,
     first_seed: Annotated[
-        int, typer.Option(min=0, help="First seed; the others follow it.")
+        int, typer.Option(min=0, help="First seed; the others count up from it.")
     ] = evaluation.FIRST_TEST_SEED,
     workers: Annotated[
-        int, typer.Option(min=0, help="Number of players at once; 0: one per core, through RTDE one.")
+        int, typer.Option(min=0, help="Episodes played at once; 0: one per core, through RTDE one.")
     ] = 0,
-    name: Annotated[str, typer.Option(help="Name of the results; default: the model file's.")] = "",
+    name: Annotated[str, typer.Option(help="Name of the results; default: the file's.")] = "",
     results: Annotated[Path, typer.Option(help="Folder of the results.")] = RESULTS,
     anew: Annotated[
         bool,
-        typer.Option("--anew", help="Drop kept episodes of another model file or of other sources."),
+        typer.Option("--anew", help="Drop results of another file or of other sources."),
     ] = False,
-    record: Annotated[
-        bool, typer.Option("--record", help="Write the figures into the model's contract as well.")
-    ] = False,
+    record: Annotated[bool, typer.Option("--record", help="Write the figures into the model's contract.")] = False,
 ) -> None:
     """Play fresh seeds with the deterministic policy; print successes, steps and peak forces.
 

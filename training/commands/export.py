@@ -13,8 +13,10 @@ def export(
     model: Annotated[str, typer.Argument(help="Name of a trained experiment, or a file of weights that ends in .pt.")],
     out: Annotated[Path, typer.Argument(help="ONNX file to write.")],
     seed: Annotated[int, typer.Option(min=0, help="Seed of the training.")] = 0,
-    last: Annotated[bool, typer.Option("--last", help="Export the latest weights instead of the best.")] = False,
-    experiment: Annotated[str, typer.Option(help="Experiment whose contract to use for weights without one.")] = "",
+    last: Annotated[bool, typer.Option("--last", help="Take the latest weights, not the best ones.")] = False,
+    experiment: Annotated[
+        str, typer.Option(help="Experiment whose contract to take where the weights name none.")
+    ] = "",
     name: Annotated[str, typer.Option(help="Name of the policy; default: the experiment's.")] = "",
 ) -> None:
     """Write a trained policy: network, normalisation and contract in one file."""

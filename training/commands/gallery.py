@@ -19,11 +19,11 @@ GALLERY = Path("docs/gallery")
 def gallery(
     model: Annotated[Path, typer.Argument(help="ONNX file of the policy.")],
     part: Annotated[
-        list[str] | None, typer.Option(help="Peg and hole; may be repeated. Default: all that the policy is for.")
+        list[str] | None, typer.Option(help="Part to draw; may be repeated. Default: all parts of the policy.")
     ] = None,
     clearance: Annotated[float, typer.Option(help="Clearance per face, mm.")] = 1.33,
     conditions: Annotated[
-        Conditions | None, typer.Option(help="Distributions of an episode; default: `search` for FTM, else `standard`.")
+        Conditions | None, typer.Option(help="Conditions of an episode; default: `search` for FTM, else `standard`.")
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, max=500, help="Number of test episodes to choose from.")] = 20,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = GALLERY,

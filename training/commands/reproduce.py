@@ -22,7 +22,7 @@ def reproduce(
     models: Annotated[Path, typer.Option(help="Folder of the policies.")] = Path("models"),
     results: Annotated[Path, typer.Option(help="Folder to write the results to.")] = Path("var/reproduced"),
     against: Annotated[Path, typer.Option(help="Folder of the results to compare with.")] = RESULTS,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes per cell of a table.")] = 500,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes per cell of the tables.")] = 500,
     workers: Annotated[int, typer.Option(min=0, help="Number of processes; 0: one per core.")] = 0,
 ) -> None:
     """Play all of the report's episodes again in the batched environment, and write the report of them.

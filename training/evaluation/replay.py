@@ -14,7 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -202,9 +203,14 @@ def answer(line: str) -> dict[str, Any]:
     return said
 
 
+def _end(number: int, frame: FrameType | None) -> NoReturn:
+    """End in order, so that the service's processes end with this one."""
+    sys.exit(1)
+
+
 def main(lines: Sequence[str] | Any) -> None:
     """Answer line by line; what the project prints goes to the error stream."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the service's processes end with this one
+    signal.signal(signal.SIGTERM, _end)
     answers, sys.stdout = sys.stdout, sys.stderr
     for line in lines:
         print(json.dumps(answer(line)), file=answers, flush=True)

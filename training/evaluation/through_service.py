@@ -10,7 +10,6 @@ import math
 import os
 import socket
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -26,6 +25,7 @@ import zenoh
 
 from service.client import CellClient, CellError, CellRefusedError
 from service.messages import CellState, ResetRequest, Run, RunState, StartRequest
+from service.program import PROGRAM, command
 from sim_backend.world.scene import NOMINAL_HOLE_M, PAYLOAD_COM_M, PAYLOAD_KG, TCP_OFFSET_M
 from sim_backend.world.world import START_POSITION_M, START_YAW_RAD
 from training.environment.insertion import LIMITS, SUCCESS_DEPTH_M
@@ -37,6 +37,7 @@ from wire.task import Task
 
 CELL, WORLD, RECIPE = "evaluation", "evaluation", "evaluated"
 HOST = "127.0.0.1"
+REQUESTED_BY = f"{PROGRAM} evaluate"
 READY_S = 60.0
 """Host time allowed for the processes to come up, and for a cell to be ready after a run."""
 RUN_S = 300.0
@@ -121,13 +122,13 @@ def play(
     """
     with tempfile.TemporaryDirectory(prefix="dsl-assembly-") as directory, ExitStack() as processes:
         sim_endpoint, cell_endpoint = (f"tcp/{HOST}:{port}" for port in _free_ports(2))
-        world = ["sim_backend", *_arm(setting), "--world", WORLD, "--listen", sim_endpoint]
-        logs = [Path(directory) / name for name in ("simulator.log", "service.log")]
+        world = ["sim", *_arm(setting), "--world", WORLD, "--listen", sim_endpoint]
+        logs = [Path(directory) / name for name in ("simulator.log", "control-process.log")]
         simulator = processes.enter_context(_process(world, logs[0]))
         ready = _await_line(simulator, logs[0])
         config = Path(directory) / "cell.toml"
         config.write_text(_toml(_configuration(model, sha256, setting, cell_endpoint, sim_endpoint, ready)))
-        service = processes.enter_context(_process(["service", "run", "--config", str(config)], logs[1]))
+        service = processes.enter_context(_process(["control", "--config", str(config)], logs[1]))
         try:
             return asyncio.run(_play(seeds, setting, cell_endpoint, sim_endpoint, on_episode))
         except (CellError, LostRunError, TimeoutError) as error:
@@ -249,7 +250,7 @@ async def _play(
 
 async def _play_one(seed: int, setting: Setting, cell: CellClient, session: zenoh.Session) -> ServiceEpisode:
     await _await_ready(cell)
-    started = await cell.start(StartRequest(recipe=RECIPE, seed=seed, requested_by="python -m training evaluate"))
+    started = await cell.start(StartRequest(recipe=RECIPE, seed=seed, requested_by=REQUESTED_BY))
     run = started.run
     try:
         async with asyncio.timeout(RUN_S):
@@ -300,7 +301,7 @@ async def _await_ready(cell: CellClient) -> None:
             if status.can_start:
                 return
             if status.state is CellState.LATCHED:
-                await cell.reset(ResetRequest(requested_by="python -m training evaluate"))
+                await cell.reset(ResetRequest(requested_by=REQUESTED_BY))
             refusal = status.why_not or refusal
         except CellRefusedError as error:
             refusal = error.problem.detail
@@ -323,12 +324,12 @@ def _await_line(process: subprocess.Popen[bytes], log: Path) -> dict[str, str]:
 
 
 @contextmanager
-def _process(module: list[str], log: Path) -> Generator[subprocess.Popen[bytes]]:
-    """Run `python -m module …` while the context lasts, its output in `log`."""
+def _process(arguments: list[str], log: Path) -> Generator[subprocess.Popen[bytes]]:
+    """Run this project's program while the context lasts, its output in `log`."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("DSL_ASSEMBLY_")}
     with log.open("wb") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", *module],
+            command(*arguments),
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
