@@ -55,7 +55,7 @@ def carry(
                 for job, replay in carrying.replay(jobs, before, after):
                     replays[job.path].append(replay)
                     bar.update(1)
-            if after.sources() != present:
+            if after.sources().deployed_sources != present.deployed_sources:  # it covers all sources
                 raise carrying.CarryError("the present sources changed meanwhile: play again")
     except KeyboardInterrupt:
         refuse("carry", "interrupted; nothing is changed", EXIT_INTERRUPTED)

@@ -16,11 +16,14 @@ PACKAGES = ("mujoco", "numpy", "onnxruntime", "torch")
 ROOT = Path(__file__).parents[2]
 CODE = ("wire", "service", "sim_backend", "training")
 DECIDING = (
-    *(f"service/policy/{name}.py" for name in ("action", "contract", "model", "observation", "onnx_file", "window")),
+    *(
+        f"service/policy/{name}.py"
+        for name in ("action", "contract", "model", "observation", "onnx_file", "step", "window")
+    ),
     *(f"service/safety/{name}.py" for name in ("bounds", "dsl", "pose")),
     *(f"sim_backend/world/{name}.py" for name in ("arm", "compliance", "conditions", "kinematics", "parts")),
     *(f"sim_backend/world/{name}.py" for name in ("quaternion", "scene", "sensor", "servo", "world")),
-    *(f"wire/{name}.py" for name in ("limits", "pose", "records", "task")),
+    *(f"wire/{name}.py" for name in ("law", "limits", "pose", "records", "task")),
     "training/evaluation/evaluate.py",
     *(f"training/environment/{name}.py" for name in ("insertion", "reward")),
 )
