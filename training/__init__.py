@@ -1,6 +1,6 @@
 """Training, evaluation and export of policies. Importing it registers `dsl_assembly/PegInHole-v0` with Gymnasium.
 
-Gymnasium comes with the extra `training`; what needs it says so by its own import.
+The extra `training` installs Gymnasium. Without it, this package still imports; modules that need Gymnasium do not.
 """
 
 from importlib.util import find_spec

@@ -1,4 +1,4 @@
-"""Translates between the driver interface and the records of the simulated cell: states to samples, orders to commands."""
+"""Translates between the driver interface and a simulated cell's records: states to samples, orders to commands."""
 
 import secrets
 

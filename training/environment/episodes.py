@@ -1,4 +1,4 @@
-"""Which episodes an environment plays: tasks drawn without end for training, a fixed list for a test."""
+"""Tasks for training: an endless draw, on seeds that no evaluation uses."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import numpy as np
 from wire.task import Conditions, Part, Task
 
 FIRST_TRAINING_SEED = 2**32
-"""Training draws its seeds from here up; every evaluation uses seeds below. No seed can be in both."""
+"""Smallest seed of a training. Every evaluation uses smaller seeds, so no seed is in both."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,8 +17,8 @@ class TaskSource:
     Attributes:
         part: peg and hole.
         clearance_m: range of clearances per face; the tight end is likelier (a uniform draw to the power 1.5).
-        conditions: distributions of an episode.
-        randomise_plant: friction, stiffness, delay, mass and contact vary.
+        conditions: name of the conditions of an episode.
+        randomise_plant: True: friction, stiffness, delay, mass and contact vary.
     """
 
     part: Part = "tr"
