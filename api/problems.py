@@ -13,7 +13,7 @@ from starlette.exceptions import HTTPException
 
 from service.client import CellRefusedError, CellSilentError
 from service.faults import FaultCode
-from service.messages import CellState, Reason
+from service.messages import CellState, RefusalReason
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -22,19 +22,19 @@ SILENT_TEXT = (
     "if it may be moving, use the robot's own emergency stop."
 )
 
-STATUS_OF_REASON: dict[Reason, int] = {
-    Reason.INVALID_REQUEST: 422,
-    Reason.UNKNOWN_RECIPE: 422,
-    Reason.UNKNOWN_RUN: 404,
-    Reason.EXPIRED: 503,
-    Reason.WRONG_STATE: 409,
-    Reason.LATCHED: 409,
-    Reason.NOT_LATCHED: 409,
-    Reason.FORCE_ABOVE_LIMIT: 409,
-    Reason.NO_MEASUREMENT: 409,
-    Reason.POLICY_REFUSED: 422,
-    Reason.STORAGE: 503,
-    Reason.INTERNAL: 500,
+STATUS_OF_REASON: dict[RefusalReason, int] = {
+    RefusalReason.INVALID_REQUEST: 422,
+    RefusalReason.UNKNOWN_RECIPE: 422,
+    RefusalReason.UNKNOWN_RUN: 404,
+    RefusalReason.EXPIRED: 503,
+    RefusalReason.WRONG_STATE: 409,
+    RefusalReason.LATCHED: 409,
+    RefusalReason.NOT_LATCHED: 409,
+    RefusalReason.FORCE_ABOVE_LIMIT: 409,
+    RefusalReason.NO_MEASUREMENT: 409,
+    RefusalReason.POLICY_REFUSED: 422,
+    RefusalReason.STORAGE: 503,
+    RefusalReason.INTERNAL: 500,
 }
 
 

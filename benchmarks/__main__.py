@@ -19,21 +19,21 @@ FOLDER = Path(__file__).parent / "results"
 
 
 class Benchmark(Protocol):
-    """A module of this package with one measurement."""
+    """Interface of a module in `benchmarks.cases`, which holds one measurement."""
 
     def measure(self, scale: float, **given: Any) -> Result:
-        """Measure; `scale` multiplies the number of repetitions, `given` is what only this one is told."""
+        """Measure; `scale` multiplies the number of repetitions, `given` holds options of this benchmark only."""
         ...
 
 
 def run(
     names: Annotated[
-        list[str] | None, typer.Argument(help=f"Which: {', '.join(BENCHMARKS)}; all unless named.")
+        list[str] | None, typer.Argument(help=f"Benchmarks to run: {', '.join(BENCHMARKS)}; all by default.")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A tenth of the repetitions; nothing is saved.")] = False,
     out: Annotated[Path, typer.Option(help="Folder for latest.md and latest.json.")] = FOLDER,
     peers_python: Annotated[
-        Path | None, typer.Option(exists=True, dir_okay=False, help="Python that has robosuite, Gymnasium-Robotics.")
+        Path | None, typer.Option(exists=True, dir_okay=False, help="Python with robosuite, Gymnasium-Robotics.")
     ] = None,
 ) -> None:
     """Measure, print and save."""
@@ -55,7 +55,7 @@ def run(
         failed |= not ran
         taken[f"load at {name}"] = load
         report.show(console, name, results[name])
-        if not quick:  # after each one: a run that is cut short keeps what it has
+        if not quick:  # after each benchmark, so that an interrupted run keeps its results
             written = report.save(out, taken, results)
     for path in written:
         console.print(f"wrote {path}", highlight=False)
@@ -63,13 +63,13 @@ def run(
 
 
 def _measure(console: Console, name: str, scale: float, given: Mapping[str, Any]) -> tuple[Result, bool]:
-    """Return the result and whether the benchmark ran without an error of its own."""
+    """Return the result, and True if the benchmark raised no error of its own."""
     try:
         module = cast("Benchmark", importlib.import_module(f"benchmarks.cases.{name}"))
         return module.measure(scale, **given), True
     except UnavailableError as error:
         return Result(question="", missing=str(error)), True
-    except Exception as error:  # one that fails must not cost the results of the others
+    except Exception as error:  # a failure must not cost the results of the others
         console.print_exception()
         return Result(question="", missing=f"failed: {type(error).__name__}: {error}"), False
 

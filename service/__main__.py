@@ -25,12 +25,12 @@ from service.config import CellConfig, ConfigError, UrSection, load
 from service.drivers.base import Driver, DriverError, Sample
 from service.drivers.camera import ZenohCamera
 from service.drivers.sim_process import simulator
-from service.drivers.stage import ZenohStage
 from service.drivers.ur import gate, recovery
 from service.drivers.ur.dashboard import DashboardError
 from service.drivers.ur.driver import UrDriver
 from service.drivers.ur.gripper import Gripper, GripperError, Status
 from service.drivers.ur.program import ProgramError
+from service.drivers.world_setup import ZenohWorldSetup
 from service.drivers.zenoh_sim import ZenohSimDriver
 from service.faults import FaultCode
 
@@ -186,9 +186,9 @@ def _driver(cell: CellConfig) -> Driver:
     if cell.ur is None or cell.cell.driver != "ur":
         return ZenohSimDriver(sim.world, [sim.endpoint], sim.mode)
     camera = None if view is None else ZenohCamera(view.endpoint, view.key, view.max_age_s, time.monotonic)
-    stage = ZenohStage(sim.world, [sim.endpoint]) if cell.ur.simulated else None
+    world_setup = ZenohWorldSetup(sim.world, [sim.endpoint]) if cell.ur.simulated else None
     try:
-        return UrDriver(cell, camera=camera, stage=stage)
+        return UrDriver(cell, camera=camera, world_setup=world_setup)
     except ProgramError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(EXIT_CONFIG) from error

@@ -73,7 +73,7 @@ class RunState(StrEnum):
     """The control process ended before the run did."""
 
 
-class Reason(StrEnum):
+class RefusalReason(StrEnum):
     """Why a request was refused."""
 
     INVALID_REQUEST = "INVALID_REQUEST"
@@ -317,7 +317,7 @@ class Problem(Message):
         field: the request's field that is wrong, where it is one.
     """
 
-    reason: Reason
+    reason: RefusalReason
     detail: str
     code: FaultCode | None = None
     state: CellState | None = None

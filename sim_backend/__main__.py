@@ -18,10 +18,10 @@ _BACKEND = os.environ.pop("MUJOCO_GL", "egl")
 import typer
 import zenoh
 
-from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer, Ports
-from sim_backend.ur_controller.stage import Stage
+from sim_backend.ur_controller.surroundings import Surroundings
 from sim_backend.world import appearance, rendering
 from sim_backend.world.world import World
 from sim_backend.zenoh_cell.cell import SimulatedCell
@@ -50,7 +50,7 @@ _PARTS = ", ".join(get_args(Part))
 @app.command()
 def serve(
     world: Annotated[str, typer.Option(help="Name of the world in its Zenoh keys, sim/<world>/….")] = DEFAULT_WORLD,
-    mode: Annotated[Pace, typer.Option(help="Who lets simulated time pass: the wall clock, or the client.")] = (
+    mode: Annotated[Pace, typer.Option(help="Clock of simulated time: the wall clock, or the client.")] = (
         Pace.REAL_TIME
     ),
     listen: Annotated[
@@ -66,7 +66,7 @@ def serve(
     endpoints = listen or [DEFAULT_ENDPOINT]
     try:
         task = Task.from_json({"seed": seed, "part": part})
-        # before Zenoh starts its threads: one of ordinary priority that the loop waits for would hold the loop up
+        # before Zenoh starts its threads: the loop sometimes waits for them, and ordinary priority would delay it
         refused = request_realtime() if mode is Pace.REAL_TIME else ()
         session = _open_session(endpoints, connect or [], allow_remote=allow_remote)
     except ValueError as error:
@@ -88,12 +88,14 @@ def serve(
 @app.command("ur-controller")
 def ur_controller(
     host: Annotated[str, typer.Option(help="Address of this machine that the controller has.")] = "127.0.0.1",
-    any_ports: Annotated[bool, typer.Option(help="Take free ports instead of UR's; the ready line tells.")] = False,
+    any_ports: Annotated[
+        bool, typer.Option(help="Take free ports instead of UR's; the ready line names them.")
+    ] = False,
     part: Annotated[str, typer.Option(help=f"Peg and hole of the first episode: {_PARTS}.")] = "tr",
     seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
     world: Annotated[str, typer.Option(help="Name of the world in its Zenoh keys, sim/<world>/….")] = DEFAULT_WORLD,
     listen: Annotated[
-        list[str] | None, typer.Option(help="Zenoh endpoint for what surrounds the arm; none unless given.")
+        list[str] | None, typer.Option(help="Zenoh endpoint for the arm's surroundings; none by default.")
     ] = None,
     connect: Annotated[list[str] | None, typer.Option(help="Zenoh endpoint to join, likewise.")] = None,
     programs: Annotated[
@@ -101,7 +103,7 @@ def ur_controller(
     ] = None,
     allow_remote: Annotated[bool, typer.Option(help="Allow addresses outside this machine.")] = False,
 ) -> None:
-    """Serve an emulated e-Series controller whose arm is the simulated one, until SIGINT, SIGTERM or its shutdown."""
+    """Serve an emulated e-Series controller of the simulated arm until SIGINT, SIGTERM or a client's shutdown."""
     _exit_on_signals()
     with contextlib.ExitStack() as stack:
         try:
@@ -113,25 +115,25 @@ def ur_controller(
                 session = stack.enter_context(_open_session(listen or [], connect or [], allow_remote=allow_remote))
             plant = Plant(World(1, task.part))
             plant.lay_out(task)
-            controller = Controller(plant)
+            controller = make_controller(plant)
             if programs is not None:
                 controller.programs |= _read_programs(programs)
             server = stack.enter_context(
                 contextlib.closing(ControllerServer(controller, host, ANY_PORTS if any_ports else Ports()))
             )
-            stage = Stage(controller, server, session, world, refused) if session is not None else None
+            surroundings = Surroundings(controller, server, session, world, refused) if session is not None else None
         except (OSError, ValueError) as error:
             _fail(str(error), EXIT_USAGE)
-        if stage is not None:
-            stack.enter_context(contextlib.closing(stage))
+        if surroundings is not None:
+            stack.enter_context(contextlib.closing(surroundings))
         for line in refused:
             typer.echo(f"degraded: {line}", err=True)
         ready = {"host": host, **asdict(server.ports)}
-        if stage is not None:
-            ready |= {"world": world, "epoch": stage.epoch, "listen": ",".join(listen or [])}
+        if surroundings is not None:
+            ready |= {"world": world, "epoch": surroundings.epoch, "listen": ",".join(listen or [])}
         typer.echo(" ".join(["ready", *(f"{name}={value}" for name, value in ready.items())]))
         sys.stdout.flush()
-        server.run(stage)
+        server.run(surroundings)
 
 
 def _read_programs(folder: Path) -> dict[str, str]:
@@ -167,7 +169,7 @@ def render(
 
 
 def _open_session(listen: list[str], connect: list[str], *, allow_remote: bool) -> zenoh.Session:
-    """Open a session whose endpoints stay on this machine unless allowed.
+    """Open a session whose endpoints stay on this machine unless `allow_remote`.
 
     Raises:
         EndpointError: an endpoint is refused, malformed or taken.
@@ -181,7 +183,7 @@ def _open_session(listen: list[str], connect: list[str], *, allow_remote: bool) 
 
 
 def _exit_on_signals() -> None:
-    """Turn the first SIGINT or SIGTERM into SystemExit, which closes the session on its way out; ignore later ones."""
+    """Turn the first SIGINT or SIGTERM into SystemExit, so that the session closes on exit; ignore later ones."""
 
     def leave(_number: int, _frame: FrameType | None) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -198,7 +200,7 @@ def _fail(text: str, code: int) -> NoReturn:
 
 
 def _with_command(arguments: list[str]) -> list[str]:
-    """Put `serve` where no command is named: before options alone, or nothing."""
+    """Insert `serve` if the arguments name no command: only options, or nothing."""
     named = arguments and (arguments[0] == "--help" or not arguments[0].startswith("-"))
     return arguments if named else ["serve", *arguments]
 

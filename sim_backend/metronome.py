@@ -1,19 +1,19 @@
-"""An absolute schedule: the beats of a real-time world on a general-purpose kernel."""
+"""Absolute schedule of a real-time world on a general-purpose kernel."""
 
 import time
 from collections.abc import Callable
 
 MAX_CATCH_UP_TICKS = 3
-"""Ticks that may run back to back after a delay; time lost beyond them stays lost."""
+"""Ticks that may run back to back after a delay; further lost time is not made up."""
 _SPIN_S = 100e-6
 
 
 class Metronome:
-    """Waits for the beats of an absolute schedule, so that lateness does not add up.
+    """Waits for the beats of an absolute schedule, so lateness does not accumulate.
 
     Attributes:
         overruns: beats that came more than one period late.
-        skipped: beats left out because catching up with them would have been a burst.
+        skipped: beats left out; catching up with them would have taken more than `MAX_CATCH_UP_TICKS` ticks in a row.
         worst_lateness_s: greatest lateness of a beat, s.
     """
 
@@ -29,9 +29,9 @@ class Metronome:
 
         Args:
             period_s: time between beats, s.
-            spin: busy-wait the last 100 µs; only worth it with real-time scheduling.
-            clock: monotonic time, s.
-            sleep: returns after about the given time, s.
+            spin: busy-wait the last 100 µs; useful only with real-time scheduling.
+            clock: returns monotonic time, s.
+            sleep: returns after approximately the given time, s.
         """
         self.overruns = 0
         self.skipped = 0
@@ -43,7 +43,7 @@ class Metronome:
         self._due_s = clock()
 
     def restart(self) -> None:
-        """Count the schedule from now: after work that was not a tick."""
+        """Restart the schedule now, after work that was not a tick."""
         self._due_s = self._clock()
 
     def wait(self) -> None:

@@ -1,7 +1,18 @@
-"""Settings of all tests."""
+"""Settings and fixtures of all tests."""
 
+import socket
+
+import pytest
 from hypothesis import settings
 
 # How long an example takes says something about the machine, and nothing about the code.
 settings.register_profile("without_deadline", deadline=None)
 settings.load_profile("without_deadline")
+
+
+@pytest.fixture
+def free_endpoint() -> str:
+    """A loopback endpoint whose port was free a moment ago."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"

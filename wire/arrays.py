@@ -1,4 +1,4 @@
-"""Names of the array types that the whole project uses. Shapes, frames and units stand where an array is declared."""
+"""Names of the array types that the whole project uses. The declaration of an array states its shape, frame, unit."""
 
 from typing import Any
 

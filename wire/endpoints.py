@@ -1,11 +1,11 @@
-"""Zenoh endpoints: those of the simulated cell, and the rule that a server stays on this machine unless allowed."""
+"""Zenoh endpoints: the default one, and the rule that a server stays on this machine unless allowed otherwise."""
 
 import ipaddress
 import re
 
 DEFAULT_WORLD = "world-1"
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7448"
-"""World and endpoint of `config/cell.toml`."""
+"""Endpoint of the simulated cell in `config/cell.toml`; `DEFAULT_WORLD` is its world."""
 
 _ENDPOINT = re.compile(r"(?P<protocol>tcp|udp|tls|quic|ws)/(?P<host>\[[^\]]+\]|[^:/\[\]]+):(?P<port>\d{1,5})([?#].*)?")
 
@@ -19,11 +19,11 @@ class EndpointInUseError(EndpointError):
 
 
 def check_endpoint(endpoint: str, *, allow_remote: bool) -> None:
-    """Refuse an endpoint that Zenoh could not read, or that leaves this machine unasked.
+    """Refuse an endpoint that Zenoh cannot read, or that leaves this machine without permission.
 
     Args:
         endpoint: `protocol/host:port`, for instance `tcp/127.0.0.1:7447`.
-        allow_remote: whether a host other than loopback is wanted.
+        allow_remote: allow hosts other than loopback.
 
     Raises:
         EndpointError: malformed, or not loopback while `allow_remote` is false.
@@ -35,7 +35,7 @@ def check_endpoint(endpoint: str, *, allow_remote: bool) -> None:
 
 
 def check_host(host: str, *, allow_remote: bool) -> None:
-    """Refuse an address that leaves this machine unasked.
+    """Refuse an address that leaves this machine without permission.
 
     Raises:
         EndpointError: not loopback while `allow_remote` is false.

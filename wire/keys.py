@@ -1,4 +1,4 @@
-"""Zenoh key expressions of a simulated cell; what is sent under each stands in `docs/reference/wire.md`."""
+"""Zenoh key expressions of a simulated cell. `docs/reference/wire.md` describes the messages under each."""
 
 STATE = "sim/{world}/state"
 COMMAND = "sim/{world}/command"

@@ -11,14 +11,14 @@ Corner = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class ComplianceLaw:
-    """How the arm yields about its TCP, base axes: inertia · v̇ = stiffness · e − damping · v + wrench.
+    """Compliance of the arm about its TCP, base axes: inertia · v̇ = stiffness · e − damping · v + wrench.
 
-    Each is x, y, z, then the rotations about them.
+    The components of each attribute are x, y, z, then the rotations about them.
 
     Attributes:
-        stiffness: N/m and N·m/rad.
-        damping: N·s/m and N·m·s/rad.
-        inertia: kg and kg·m².
+        stiffness: stiffness, N/m and N·m/rad.
+        damping: damping, N·s/m and N·m·s/rad.
+        inertia: virtual mass and inertia, kg and kg·m².
     """
 
     stiffness: Six
@@ -26,10 +26,10 @@ class ComplianceLaw:
     inertia: Six
 
     def __post_init__(self) -> None:
-        """Refuse numbers that are no law.
+        """Refuse numbers that do not make a law.
 
         Raises:
-            ValueError: there are not six components, or one is no finite number above zero; the text names it.
+            ValueError: there are not six components, or one is not a finite number above zero; the text names it.
         """
         for field in fields(self):
             components = getattr(self, field.name)
@@ -43,12 +43,12 @@ class ComplianceLaw:
 
 @dataclass(frozen=True, slots=True)
 class ControlLimits:
-    """What the control program on the arm's controller enforces by itself while engaged.
+    """Limits that the control program on the arm's controller enforces by itself while engaged.
 
     Attributes:
         workspace: lower and upper corner of the box for the TCP's position, base frame, m.
         force_ceiling_n: resultant of the compensated force at which the program stops, N.
-        max_speed: of the reference, m/s and rad/s.
+        max_speed: largest speed of the reference, m/s and rad/s.
         max_step: largest change between consecutive targets, m and rad.
         target_age_s: time without a new target after which the program stops, s.
     """

@@ -5,7 +5,7 @@ from typing import Literal
 FORCE_HARD_MAXIMUM_N = 50.0
 """Highest force ceiling that can be configured."""
 TORQUE_HARD_MAXIMUM_NM = 10.0
-"""Highest torque ceiling that can be configured: the end of the sensor's range."""
+"""Highest torque ceiling that can be configured; it is the end of the sensor's range."""
 
 FORCE_CEILING_N = 30.0
 """Force ceiling of the standard recipe and of training: resultant of any single sample."""
@@ -28,4 +28,4 @@ WORKSPACE_M = ((0.15, -0.26, 0.01), (0.45, 0.04, 0.40))
 LockMode = Literal["paper", "sliding", "off"]
 """Mode of the depth lock; `service.safety.dsl` describes each."""
 TimeMode = Literal["real_time", "lockstep"]
-"""Whether time passes by itself, or only as far as the client lets it."""
+"""Passage of time: by itself, or only as far as the client advances it."""

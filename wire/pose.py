@@ -1,6 +1,6 @@
 """Rotations of tool poses: rotation vectors and matrices of any batch shape, in radians.
 
-A tool that points down is turned by exactly π, so nothing here may lose accuracy there, nor at zero.
+A tool that points down is turned by exactly π, so every function here stays accurate there and at zero.
 """
 
 import numpy as np

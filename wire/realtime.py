@@ -1,4 +1,4 @@
-"""The request that a 500 Hz process makes of the host so that it runs in time."""
+"""Real-time request of a 500 Hz process to its host."""
 
 import ctypes
 import gc
@@ -6,9 +6,9 @@ import os
 import sys
 
 PRIORITY = 40
-"""Priority under SCHED_FIFO: below the kernel's own threads (50), and the same for control process and simulator."""
+"""Priority under SCHED_FIFO: below the kernel's own threads (50), equal for control process and simulator."""
 SWITCH_INTERVAL_S = 5e-4
-"""Longest time that one Python thread holds another up, s; Python's default is 5 ms."""
+"""Longest time for which one Python thread may hold up another, s; Python's default is 5 ms."""
 _MCL_CURRENT_AND_FUTURE = 3
 
 
@@ -18,7 +18,7 @@ def request_realtime() -> tuple[str, ...]:
     Threads started before keep their scheduling; threads started by this one afterwards inherit it.
 
     Returns:
-        One line for each thing refused, with its remedy; empty where everything was granted.
+        One line for each refusal, with its remedy; empty if everything was granted.
     """
     refused: list[str] = []
     sys.setswitchinterval(SWITCH_INTERVAL_S)
@@ -44,6 +44,6 @@ def has_realtime_scheduling() -> bool:
 
 
 def freeze_garbage() -> None:
-    """Exempt what exists now from garbage collection: a pass over a loaded program lasts longer than a tick."""
+    """Exempt all present objects from garbage collection: one pass over a loaded program lasts longer than a tick."""
     gc.collect()
     gc.freeze()

@@ -1,9 +1,9 @@
 """Fixed-layout, little-endian, versioned messages of the simulated cell.
 
-Packed records: `STATE`, one per 2 ms tick from the cell, `COMMAND`, from a client, and `CAMERA`, from a cell whose arm
-speaks another protocol. Every record starts with the same eight bytes (magic, version, kind), so a reader refuses what
-it cannot read before it reads on.
-Changing a layout means raising `VERSION`. Frames, units and signs are those of `docs/reference/frames.md`.
+There are three packed records: a cell sends `STATE` once per 2 ms tick, a client sends `COMMAND`, and a cell whose arm
+speaks another protocol sends `CAMERA`. Every record starts with the same eight bytes (magic, version, kind), so a
+reader refuses an unreadable record before it reads the rest.
+A change of a layout requires a higher `VERSION`. `docs/explanation/architecture.md` defines frames, units and signs.
 """
 
 from enum import IntEnum
@@ -15,11 +15,11 @@ import numpy.typing as npt
 MAGIC = 0x4C534444  # "DDSL" in the byte order of the wire
 VERSION = 1
 TICK_S = 0.002
-"""Period of the cell's control law and of its state messages: the 500 Hz of a UR e-Series controller."""
+"""Period of the cell's control law and its state messages: the 500 Hz of a UR e-Series controller."""
 
 
 class WireError(ValueError):
-    """A message that is not one of ours; the text says which check failed."""
+    """A message that does not follow this schema; the text says which check failed."""
 
 
 class Kind(IntEnum):
@@ -31,9 +31,9 @@ class Kind(IntEnum):
     STOP = 4
     """Decelerate, hold and disengage. Accepted from anyone, in any state."""
     ZERO_FT = 5
-    """Take the wrench of the last moments as the zero, as `zero_ftsensor()` does. Refused while engaged."""
+    """Take the average of the latest wrenches as the zero, as `zero_ftsensor()` does. Refused while engaged."""
     UNLOCK = 6
-    """Leave the protective stop: an operator's action."""
+    """Leave the protective stop; an operator's action."""
     CAMERA = 7
 
 
@@ -54,16 +54,16 @@ class StopReason(IntEnum):
     FORCE_CEILING = 2
     TARGET_AGE = 3
     TARGET_REJECTED = 4
-    """A target outside the workspace, not finite, or further from the last one than the step limit."""
+    """A target outside the workspace, not finite, or further from the previous one than the step limit."""
     JOINT_LIMIT = 5
     KINEMATICS = 6
-    """Too close to a singularity, or a joint faster than it can turn."""
+    """The arm is too close to a singularity, or a joint would have to exceed its speed."""
     PROTECTIVE_FORCE = 7
-    """The arm's own protection: far more force than the ceiling, or a joint that cannot follow."""
+    """The arm's own protection: a force far above the ceiling, or a joint that cannot follow."""
     LEASE = 8
     """Another client engaged."""
     PROGRAM_ENDED = 9
-    """The control program does not run any more: somebody stopped or replaced it, or its watchdog ended it."""
+    """The control program no longer runs: somebody stopped or replaced it, or its watchdog ended it."""
 
 
 _HEADER: list[Any] = [("magic", "<u4"), ("version", "<u2"), ("kind", "<u2")]
@@ -72,27 +72,27 @@ STATE = np.dtype(
     [
         *_HEADER,
         ("epoch", "<u8"),  # drawn at random when the world process starts
-        ("episode", "<u8"),  # world resets since then
-        ("seq", "<u8"),  # ticks since then; strictly increasing by one
+        ("episode", "<u8"),  # world resets since the process started
+        ("seq", "<u8"),  # ticks since the process started; strictly increasing by one
         ("time_s", "<f8"),  # simulated time of the sample
         ("q", "<f8", 6),
         ("qd", "<f8", 6),
-        ("tcp_position", "<f8", 3),  # measured: from the joint encoders
+        ("tcp_position", "<f8", 3),  # measured by the joint encoders
         ("tcp_rotvec", "<f8", 3),
         ("tcp_velocity", "<f8", 6),
         ("target_position", "<f8", 3),  # the target in force
         ("target_rotvec", "<f8", 3),
-        ("wrench", "<f8", 6),  # at the TCP, base frame, zeroed, payload-compensated, as delayed and noisy as the sensor
+        ("wrench", "<f8", 6),  # at the TCP, base frame, zeroed, payload-compensated, with the sensor's delay and noise
         ("ft_raw", "<f8", 6),  # sensor frame (flange), neither zeroed nor compensated
-        ("hole_estimate", "<f8", 3),  # centre of the hole's mouth by the camera; NaN without one
-        ("peak_force", "<f8"),  # largest resultant of the compensated force since ENGAGE, by the controller itself, N
+        ("hole_estimate", "<f8", 3),  # the camera's estimate of the centre of the hole's mouth; NaN without one
+        ("peak_force", "<f8"),  # largest resultant of the compensated force since ENGAGE, seen by the controller, N
         ("command_seq", "<u8"),  # last command accepted
-        ("client", "<u8"),  # client that engaged last
+        ("client", "<u8"),  # client of the last ENGAGE
         ("program", "<u2"),
         ("stop_reason", "<u2"),
         ("robot_mode", "<i2"),  # UR numbering; 7 is running
         ("safety_mode", "<i2"),  # UR numbering; 1 normal, 3 protective stop
-        ("saturated", "<u2"),  # 1 where a raw channel is at the end of the sensor's range
+        ("saturated", "<u2"),  # 1 if a raw channel is at the end of the sensor's range
         ("reserved", "V6"),
     ],
     align=False,
@@ -102,7 +102,7 @@ COMMAND = np.dtype(
     [
         *_HEADER,
         ("client", "<u8"),  # identity of the sender, drawn at random
-        ("epoch", "<u8"),  # world that the command is meant for; others ignore it. STOP is accepted with any epoch
+        ("epoch", "<u8"),  # intended world; other worlds ignore the command. STOP is accepted with any epoch
         ("seq", "<u8"),
         ("position", "<f8", 3),  # TARGET
         ("rotvec", "<f8", 3),
@@ -113,7 +113,7 @@ COMMAND = np.dtype(
         ("max_step", "<f8", 2),  # ENGAGE, largest change of target, m and rad
         ("workspace", "<f8", (2, 3)),  # ENGAGE, box for the TCP's position, lower and upper corner
         ("force_ceiling", "<f8"),  # ENGAGE, N, resultant
-        ("target_age", "<f8"),  # ENGAGE, s of simulated time without a new target before the program stops
+        ("target_age", "<f8"),  # ENGAGE, simulated time without a new target after which the program stops, s
     ],
     align=False,
 )
@@ -121,11 +121,11 @@ COMMAND = np.dtype(
 CAMERA = np.dtype(
     [
         *_HEADER,
-        ("epoch", "<u8"),  # these four as in STATE
+        ("epoch", "<u8"),  # this and the next three as in STATE
         ("episode", "<u8"),
         ("seq", "<u8"),
-        ("time_s", "<f8"),  # of the frame, on the clock of the arm's own samples
-        ("position", "<f8", 3),  # centre of the hole's mouth by the camera, base frame, m
+        ("time_s", "<f8"),  # time of the frame on the clock of the arm's own samples
+        ("position", "<f8", 3),  # the camera's estimate of the centre of the hole's mouth, base frame, m
     ],
     align=False,
 )
@@ -149,7 +149,7 @@ def decode(payload: bytes, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
         (n,) read-only array over `payload`.
 
     Raises:
-        WireError: the length, magic or version is not ours. Values are not judged here.
+        WireError: the length, magic or version does not follow this schema. Values are not checked here.
     """
     if not payload or len(payload) % dtype.itemsize:
         raise WireError(f"{len(payload)} bytes are not a whole number of {dtype.itemsize}-byte records")

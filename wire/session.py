@@ -1,4 +1,4 @@
-"""Zenoh sessions: explicit endpoints, no discovery, no listening that was not asked for, queries on an event loop."""
+"""Zenoh sessions: explicit endpoints, no discovery, no unrequested listening, queries on an event loop."""
 
 import asyncio
 import json
@@ -11,13 +11,13 @@ from wire.endpoints import EndpointError, EndpointInUseError
 
 
 class QueryRefusedError(Exception):
-    """The other side answered with an error; the text is its."""
+    """The other side answered with an error; the text is the other side's."""
 
 
 def open_session(listen: Sequence[str] = (), connect: Sequence[str] = ()) -> zenoh.Session:
     """Open a session in peer mode on exactly these endpoints; the caller closes it.
 
-    A connection that cannot be made now is retried in the background, so a peer may start later.
+    A failed connection is retried in the background, so a peer may start later.
 
     Args:
         listen: endpoints to accept peers at, such as `tcp/127.0.0.1:7447`.
@@ -25,7 +25,7 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = ()) -> zen
 
     Raises:
         EndpointInUseError: another process listens at an endpoint.
-        EndpointError: an endpoint cannot be listened on for another reason; the text names it.
+        EndpointError: listening at an endpoint fails for another reason; the text names it.
     """
     config = zenoh.Config()
     settings: dict[str, object] = {
@@ -53,12 +53,12 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = ()) -> zen
 
 
 def close_session(session: zenoh.Session) -> None:
-    """Close a session; an unclosed one can hang the interpreter's exit. Blocks for some milliseconds."""
+    """Close a session; an unclosed one can hang the interpreter's exit. Blocks for a few milliseconds."""
     session.close()
 
 
 def call_in_loop(loop: asyncio.AbstractEventLoop, callback: Callable[..., object], *args: Any) -> None:
-    """Run `callback` on the loop from one of Zenoh's threads, which may outlive the loop by a moment at shutdown."""
+    """Run `callback` on the loop from one of Zenoh's threads, which may outlive the loop briefly at shutdown."""
     try:
         loop.call_soon_threadsafe(callback, *args)
     except RuntimeError:
@@ -67,13 +67,13 @@ def call_in_loop(loop: asyncio.AbstractEventLoop, callback: Callable[..., object
 
 
 async def query(session: zenoh.Session, selector: str, payload: bytes, timeout_s: float) -> list[bytes]:
-    """Ask, and wait for every answer without blocking the loop.
+    """Send a query and wait for every answer without blocking the loop.
 
     Args:
-        session: open.
-        selector: key expression, with `?parameters` where there are any.
+        session: open session.
+        selector: key expression, with `?parameters` if there are any.
         payload: the request.
-        timeout_s: after which no further answer is waited for.
+        timeout_s: time after which no further answer is awaited, s.
 
     Returns:
         One payload per answer; empty when nobody answered in time.

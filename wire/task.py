@@ -1,4 +1,4 @@
-"""What a client asks of a world when it lays out a new episode."""
+"""The task: a client's description of the episode to lay out."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Self
@@ -7,21 +7,21 @@ Part = Literal["tr", "rtr", "trm", "cir", "b-rtr", "b-trm"]
 Conditions = Literal["standard", "easy", "search", "stiff", "transfer"]
 
 SENSOR_DELAY_TICKS = (1, 4)
-"""Least and largest delay of the force/torque sensor."""
+"""Smallest and largest delay of the force/torque sensor, ticks."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One episode: everything else (hole pose, noise, grasp, plant) is drawn from `seed` under `conditions`.
+    """One episode. Everything not named here (hole pose, noise, grasp, plant) is drawn from `seed` under `conditions`.
 
     Attributes:
-        seed: same seed, same world, bit for bit.
+        seed: the same seed gives the same world, bit for bit.
         part: peg and hole.
         clearance_m: distance between peg and wall when centred, per face, m.
-        conditions: which distributions to draw from; `docs/reference/conditions.md`.
-        randomise_plant: draw friction, stiffness, delay, mass, contact (training); otherwise nominal values (test).
-            Not with `stiff` and `transfer`, whose plant is given.
-        sensor_delay_ticks: from force to sample, 1–4 ticks of 2 ms; None: drawn from the seed.
+        conditions: set of distributions to draw from; `docs/reference/conditions.md` describes them.
+        randomise_plant: draw friction, stiffness, delay, mass and contact (training); otherwise they are nominal
+            (test). Not allowed with `stiff` and `transfer`, whose plant is fixed.
+        sensor_delay_ticks: delay from force to sample, 1–4 ticks of 2 ms; None draws it from the seed.
     """
 
     seed: int
@@ -39,7 +39,7 @@ class Task:
         """Build from JSON.
 
         Raises:
-            ValueError: unknown or missing field, or a value out of range; the text names it.
+            ValueError: a field is unknown, missing or out of range; the text names it.
         """
         try:
             task = cls(**document)
@@ -49,7 +49,7 @@ class Task:
         return task
 
     def check(self) -> None:
-        """Raise ValueError, naming the field, for a value that no world can be built from."""
+        """Raise ValueError, naming the field, for a value from which no world can be built."""
         if type(self.seed) is not int or self.seed < 0:
             raise ValueError(f"task.seed must be a non-negative integer, not {self.seed!r}")
         if self.part not in Part.__args__:

@@ -1,1 +1,1 @@
-"""One measurement a module: `measure` runs it and returns a `Result`."""
+"""One measurement per module: `measure` runs it and returns a `Result`."""

@@ -1,4 +1,4 @@
-"""How stable the force loop is: press on the block at the shortest and the longest sensor delay, with damping scaled.
+"""Stability of the force loop: press on the block at the shortest and the longest sensor delay, with scaled damping.
 
 `python -m benchmarks.cases.contact_loop` prints the figures of `docs/explanation/decisions/0004-admittance.md`. It
 measures no time.
@@ -24,10 +24,10 @@ BESIDE_HOLE_M = np.array([0.025, 0.015, 0.020])
 
 
 def press(damping_scale: float, delay_ticks: int) -> tuple[float, float]:
-    """Seek down onto the block beside the hole and keep pressing, as the lock does without contact.
+    """Descend onto the block beside the hole and keep pressing, as the lock does without contact.
 
     Returns:
-        Standard deviation of the measured vertical force once it has settled, and the largest measured resultant, N.
+        Standard deviation of the measured vertical force after settling, and the largest measured resultant, N.
     """
     seeds = itertools.islice((s for s in itertools.count() if draw(Task(s)).sensor_delay == delay_ticks), CELLS)
     world, cells = World(CELLS), np.arange(CELLS)

@@ -1,4 +1,4 @@
-"""Whether the emulated controller keeps its 2 ms, by how many listen and what runs on it, and what it costs."""
+"""Timing of the emulated controller's 2 ms tick and its cost, by the number of clients and programs."""
 
 import asyncio
 import importlib.util
@@ -25,14 +25,14 @@ SETTLE_S = 0.5
 
 
 class _Load(NamedTuple):
-    """What keeps a controller busy: programs that run there, and clients that take packages at 500 Hz."""
+    """Load on a controller: programs that run there, and clients that take packages at 500 Hz."""
 
     programs: str
     clients: int
 
 
 class _Window(NamedTuple):
-    """While a load lasted: its begin and end, s of the monotonic clock, and CPU seconds per second."""
+    """Duration of a load: begin and end, s of the monotonic clock, and CPU seconds per second."""
 
     begin_s: float
     end_s: float
@@ -82,17 +82,17 @@ def measure(scale: float) -> Result:
         f"{busy_s * 1e6:.0f} µs of its 2000 (median), {busy_s / idle_s:.1f} times that of an idle controller; "
         f"{(busy.late_s > TICK_S).mean():.1%} of the beats come more than a tick late."
         + ("" if may_use_fifo() else " SCHED_FIFO is refused here, so there are no rows with it."),
-        method=f"{seconds:.0f} s per row of `python -m sim_backend ur-controller` in real time, noted inside it: how "
-        "late each beat of 2 ms begins, and how long its tick takes with all that clients send and are sent; CPU time "
-        f"of the whole process. Each client takes packages at 500 Hz, those that only read the driver's "
-        f"{len(OUTPUTS)} variables. Who sends a program is a client too: ur_rtde's control interface, and this driver "
-        "with a target every 100 ms. A controller has one main program: where both run, ur_rtde's is a secondary one. "
-        "With real-time scheduling the last 100 µs before a beat are waited for awake, 5 % of CPU.",
+        method=f"{seconds:.0f} s per row of `python -m sim_backend ur-controller` in real time, recorded inside it: "
+        "how late each beat of 2 ms begins, and how long its tick takes, clients' input and output included; CPU time "
+        "of the whole process. Each client takes packages at 500 Hz; clients that only read take the driver's "
+        f"{len(OUTPUTS)} variables. The senders of programs are clients too: ur_rtde's control interface, and this "
+        "driver with a target every 100 ms. A controller has one main program; if both run, ur_rtde's is a secondary "
+        "one. With real-time scheduling the last 100 µs before a beat are a busy wait, 5 % of CPU.",
     )
 
 
 def _observe(shipped: ShippedCell, flags: tuple[str, ...], seconds: float) -> dict[_Load, _Seen]:
-    """Lay every load on one controller, one after another."""
+    """Put every load on one controller, one after another."""
     output = Path(shipped.config.cell.state_dir) / "ticks.npy"
     windows: dict[_Load, _Window] = {}
     ur = shipped.config.ur
@@ -131,10 +131,10 @@ def _observe(shipped: ShippedCell, flags: tuple[str, ...], seconds: float) -> di
 
 @contextmanager
 def _client(shipped: ShippedCell, *arguments: str) -> Generator[None]:
-    """Keep a client of the controller while the block lasts.
+    """Run a client of the controller while the block lasts.
 
     Raises:
-        UnavailableError: it did not begin, or gave up meanwhile.
+        UnavailableError: the client did not begin, or gave up.
     """
     lines: list[str] = []
     with running("benchmarks.stands.ur_clients", *arguments, environment=shipped.environment, lines=lines) as client:

@@ -1,4 +1,6 @@
-"""How late the control loop judges samples in real time: idle and under a flood of HTTP requests, scheduled or not."""
+"""Lateness of the control loop's judgement of samples in real time: idle and under a flood of HTTP requests, with and
+without real-time scheduling.
+"""
 
 import asyncio
 import contextlib
@@ -60,8 +62,8 @@ def measure(scale: float) -> Result:
         rows=tuple(rows),
         finding=f"The flood multiplies p99.9 by {growth}."
         + ("" if may_use_fifo() else " SCHED_FIFO is refused here, so there are no rows with it."),
-        method=f"{seconds:.0f} s per row of insertions one after another. From the transport's thread having a sample "
-        "to the loop having judged and used it. Simulated cell, control process and API run as three processes; "
+        method=f"{seconds:.0f} s per row of insertions one after another. From the sample's arrival in the transport's "
+        "thread to its judgement and use in the loop. Simulated cell, control process and API run as three processes; "
         f"a fourth sends GET requests on {CONNECTIONS} connections.",
     )
 
@@ -86,7 +88,7 @@ def _observe(shipped: ShippedCell, arguments: tuple[str, ...], seconds: float, *
             others.enter_context(running(*flood, lines=lines))
         missed, latches = asyncio.run(_operate(shipped, seconds))
         if flooded:
-            time.sleep(1.0)  # the flood says how many answers it got
+            time.sleep(1.0)  # the flood reports its number of answers
         service.terminate()
         service.wait(10)
         late_s = _load(output)
@@ -103,7 +105,7 @@ def _load(path: Path) -> list[float]:
 
 
 async def _operate(shipped: ShippedCell, seconds: float) -> tuple[int, str]:
-    """Insert until the time is over; return the samples missed and the codes that latched."""
+    """Insert until the time is over; return the samples missed and the latched codes."""
     until_s = time.monotonic() + seconds
     latches: Counter[str] = Counter()
     async with CellClient(shipped.config.cell.id, [shipped.config.cell.endpoint]) as client:

@@ -1,4 +1,4 @@
-"""How much faster than the wall clock simulated time passes when the client owns it."""
+"""Speed of simulated time relative to the wall clock when the client advances it."""
 
 import time
 from collections.abc import Callable
@@ -59,7 +59,7 @@ def measure(scale: float) -> Result:
         ),
         finding=f"One tick per exchange over Zenoh, as the service does it, runs at {speeds[1] / speeds[0]:.0%} "
         "of the speed without transport.",
-        method=f"{ticks * TICK_S:.0f} s of simulated time per row, of which the median exchange; "
+        method=f"{ticks * TICK_S:.0f} s of simulated time per row, median exchange; "
         f"a new target every {POLICY_TICKS} ticks.",
     )
 

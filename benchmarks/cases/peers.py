@@ -1,4 +1,4 @@
-"""Our environment and training beside tasks of robosuite and Gymnasium-Robotics, each on one thread of one process."""
+"""The project's environment and training beside tasks of robosuite and Gymnasium-Robotics, each on one thread."""
 
 import json
 import os
@@ -31,8 +31,8 @@ def measure(scale: float, python: Path | None = None) -> Result:
     """Measure; `scale` multiplies the 12 s per environment and turn, and the rollouts of training.
 
     Args:
-        scale: see above.
-        python: that has the peers; by default the one that runs this.
+        scale: factor on the durations.
+        python: Python with the peers; by default the running one.
     """
     here = Path(sys.executable)
     pythons = dict.fromkeys(OURS, here) | dict.fromkeys(PEERS, python or here)
@@ -72,14 +72,14 @@ def measure(scale: float, python: Path | None = None) -> Result:
         finding=_finding({name: _simulated(taken) for name, taken in found.items() if name not in lacking}),
         method=f"Hz: env steps per simulated second. physics steps: per env step. simulated s/s: of all cells, per "
         "second of wall-clock. physics: share of the engine's own step. Random actions, no pictures. The environments "
-        f"by turns, {TURNS} of {SPAN_S * scale:g} s each after {WARM_UP} steps, each in a process of its own on one "
-        f"thread; resets are left out of the rates. Training: {rollouts} rollouts of the experiment "
+        f"take turns, {TURNS} of {SPAN_S * scale:g} s each after {WARM_UP} steps, each in a process of its own on one "
+        f"thread; the rates exclude resets. Training: {rollouts} rollouts of the experiment "
         f"{training_share.EXPERIMENT} with their updates, resets included.",
     )
 
 
 def _step(python: Path, name: str, seconds: float) -> Taken | str:
-    """Step one environment in a process of its own; return what it took, or why it could not be stepped."""
+    """Step one environment in a process of its own; return its figures, or the reason why it could not be stepped."""
     try:
         done = subprocess.run(
             [python.absolute(), "-m", "benchmarks.stands.peer_environments", name, str(seconds)],

@@ -62,7 +62,7 @@ def measure(scale: float) -> Result:
 
 
 def publication_echo(session: zenoh.Session, payload: bytes) -> Callable[[], object]:
-    """Return an exchange with `benchmarks.stands.echo`, both sides acquainted."""
+    """Return an exchange with `benchmarks.stands.echo` after both sides have discovered each other."""
     arrived: queue.SimpleQueue[None] = queue.SimpleQueue()
 
     def back(_: zenoh.Sample) -> None:
@@ -72,7 +72,7 @@ def publication_echo(session: zenoh.Session, payload: bytes) -> Callable[[], obj
     ping = session.declare_publisher(
         PING, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.REAL_TIME, express=True
     )
-    while arrived.empty():  # until both sides have learnt of each other
+    while arrived.empty():  # until both sides have discovered each other
         ping.put(payload)
         time.sleep(0.05)
     time.sleep(0.2)

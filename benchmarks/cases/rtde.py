@@ -1,4 +1,4 @@
-"""RTDE as the driver of a UR arm reads it, beside a plain `struct` loop and beside `ur_rtde`, by turns."""
+"""RTDE read by the driver of a UR arm, beside a plain `struct` loop and beside `ur_rtde`, taking turns."""
 
 import json
 import subprocess
@@ -10,7 +10,7 @@ from benchmarks.harness.result import Result, UnavailableError, median
 from benchmarks.stands.rtde_readers import VARIABLES, WARM_UP_S
 from wire.rtde.messages import PORT
 
-HOST = "127.0.0.30"  # one of its own: ur_rtde knows no other port than the standard one
+HOST = "127.0.0.30"  # an address of its own: ur_rtde supports only the standard port
 RATE_HZ = 500
 SPAN_S = 2.0
 READERS = {
@@ -23,7 +23,7 @@ READERS = {
 
 @dataclass(slots=True)
 class _Rounds:
-    """Of one reader: packages per CPU second in a flood, and CPU seconds per second at `RATE_HZ`."""
+    """Rounds of one reader: packages per CPU second in a flood, and CPU seconds per second at `RATE_HZ`."""
 
     flood: list[float] = field(default_factory=list[float])
     share: list[float] = field(default_factory=list[float])
@@ -58,17 +58,17 @@ def measure(scale: float) -> Result:
         columns=("reader", "k packages per CPU s", "to struct", f"CPU at {RATE_HZ} Hz", "to struct"),
         rows=rows,
         finding=f"At {RATE_HZ} Hz this client on uvloop takes {median(ours.share) / median(theirs.share):.2f} of "
-        f"ur_rtde's CPU time; in a flood it decodes {median(ours.flood) / median(plain.flood):.2f} of what a plain "
-        "loop does.",
+        f"ur_rtde's CPU time; in a flood it decodes {median(ours.flood) / median(plain.flood):.2f} of a plain "
+        "loop's packages.",
         method=f"{len(VARIABLES)} variables, {count} rounds of {SPAN_S:g} s by turns, medians; each reader in a "
         "process of its own, CPU time of all its threads. First a flood, as fast as the reader takes it, then "
-        f"{RATE_HZ} Hz. ur_rtde leaves out a package where the next one is there already: in a flood that is nearly "
-        "each, so its first figure is of bytes taken off the socket, not of packages decoded.",
+        f"{RATE_HZ} Hz. ur_rtde skips a package if the next one has already arrived, in a flood nearly "
+        "every one, so its first figure counts bytes read from the socket, not decoded packages.",
     )
 
 
 def _read(reader: str) -> tuple[int, float]:
-    """Let one reader read; return its packages and the CPU seconds that they took."""
+    """Run one reader; return its packages and the CPU seconds spent on them."""
     arguments = [reader, HOST, str(PORT), str(SPAN_S)]
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.stands.rtde_readers", *arguments],

@@ -1,4 +1,4 @@
-"""From a sample above the ceiling to the stop command: within the process, and on the wire between real processes."""
+"""Time from a sample above the ceiling to the stop command: within the process, and on the wire between processes."""
 
 import asyncio
 import dataclasses
@@ -47,10 +47,10 @@ def measure(scale: float) -> Result:
         ),
         finding=f"On the wire {wire * 1e6:.0f} µs (median), {wire / reference:.1f} bare echoes; "
         f"the judgement itself {median(inside) * 1e6:.0f} µs.",
-        method="In one process: from the call that hands the sample over to the driver's stop. On the wire: a "
+        method="In one process: from the call that passes the sample to the driver's stop. On the wire: a "
         f"simulated cell publishes one sample of {FORCE_N:g} N while the control process approaches, and times the "
-        "stop's arrival; three processes, real time, the cell's own 500 Hz tick beside it. Runs that ended before are "
-        "left out.",
+        "stop's arrival; three processes in real time, with the cell's own 500 Hz tick. Runs that ended earlier are "
+        "excluded.",
     )
 
 
@@ -107,15 +107,15 @@ def _on_the_wire(shipped: ShippedCell, arguments: tuple[str, ...], count: int) -
 
 
 async def stops(shipped: ShippedCell, endpoint: str, count: int) -> list[float]:
-    """Start insertions, have each tripped while it approaches, and reset; return the spans from sample to stop, s.
+    """Start insertions, trip each during its approach, and reset; return the spans from sample to stop, s.
 
     Args:
-        shipped: runs, and is served.
-        endpoint: of who answers `TRIP`.
-        count: of insertions.
+        shipped: cell whose service runs.
+        endpoint: endpoint of the process that answers `TRIP`.
+        count: number of insertions.
 
     Raises:
-        UnavailableError: no stop came, or no insertion got that far.
+        UnavailableError: no stop came, or no insertion reached the approach.
     """
     taken: list[float] = []
     session = await asyncio.to_thread(open_session, connect=[endpoint])
@@ -140,5 +140,5 @@ async def stops(shipped: ShippedCell, endpoint: str, count: int) -> list[float]:
     finally:
         await asyncio.to_thread(close_session, session)
     if not taken:
-        raise UnavailableError(f"none of {count} runs got as far as the approach")
+        raise UnavailableError(f"none of {count} runs reached the approach")
     return taken

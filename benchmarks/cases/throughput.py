@@ -1,4 +1,4 @@
-"""The training environment beside raw `mujoco.batch.Batch.step`: same scene, same states, same threads, by turns."""
+"""The training environment beside raw `mujoco.batch.Batch.step`: same scene, states and threads, taking turns."""
 
 import os
 import time
@@ -74,7 +74,7 @@ def measure(scale: float) -> Result:
             f"a tick being {TICK_S * 1e3:g} ms of one cell. physics: share of `Batch.step` in the environment's step; "
             "the rest is law and sensor at every tick, lock, bounds and observation at every step. "
             "steps/s: policy steps, resets included. The row of workers is several environments of one thread each, in "
-            "processes, resets included; its raw is that of as many threads."
+            "processes, resets included; its raw figure is that of as many threads."
         ),
     )
 
@@ -115,7 +115,7 @@ def _workers(workers: int, steps: int, raw: _Spent) -> tuple[str, ...]:
 def _run(cells: int, threads: int, steps: int) -> _Spent:
     contract, rng, source = vftm_dsl(), np.random.default_rng(0), TaskSource()
     environment = Insertions(contract, cells, threads=threads)
-    batch: Batch = environment.world._batch  # pyright: ignore[reportPrivateUsage]  # it is what we compare with
+    batch: Batch = environment.world._batch  # pyright: ignore[reportPrivateUsage]  # the comparison needs it
     environment.reset(np.arange(cells), source.draw(rng, cells))
     spent = _Spent()
     for number in range(WARM_UP + steps):
@@ -143,7 +143,7 @@ def _run(cells: int, threads: int, steps: int) -> _Spent:
 
 
 def _raw(batch: Batch, state: np.ndarray, ticks: int) -> tuple[float, float]:
-    """Step from `state` in one call and tick by tick; return the seconds of each, with the state put back."""
+    """Step from `state` in one call and tick by tick; return the seconds of each, and restore the state."""
     begin = time.perf_counter()
     batch.step(nstep=ticks)
     whole_s = time.perf_counter() - begin

@@ -1,4 +1,4 @@
-"""What the control process computes per sample and per policy step, beside one bare call of ONNX Runtime."""
+"""Computing time of the control process per sample and per policy step, beside one bare call of ONNX Runtime."""
 
 import asyncio
 import time
@@ -50,7 +50,7 @@ def measure(scale: float) -> Result:
         finding=f"A policy step costs {median(steps) * 1e6:.0f} µs of a tick's 2000 (median), "
         f"or {median(steps) / reference:.0f} bare calls.",
         method=f"{runs} whole insertions in lockstep in this process, recipe {shipped.recipe}, {shipped.policy.name}; "
-        "from the driver handing over a sample to the command written as its wire record.",
+        "from the driver's delivery of a sample to the command encoded as its wire record.",
     )
 
 

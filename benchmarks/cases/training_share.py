@@ -1,4 +1,4 @@
-"""Training end to end: steps per second, and what share is physics."""
+"""Training end to end: steps per second, and the share of physics in the time."""
 
 import contextlib
 import io
@@ -24,15 +24,15 @@ EXPERIMENT = "vftm-dsl"
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """Where the time of a training in one process went, the evaluations before and after it left out.
+    """Distribution of the time of a training in one process, without the evaluations before and after it.
 
     Attributes:
-        steps: policy steps, of all cells.
-        cells: that were stepped at once.
-        physics_s: in `Batch.step`.
-        environment_s: in the environment, physics and resets included.
-        collecting_s: in the rollouts, environment included.
-        updates_s: in gradient updates.
+        steps: policy steps of all cells.
+        cells: number of cells stepped at once.
+        physics_s: time in `Batch.step`.
+        environment_s: time in the environment, physics and resets included.
+        collecting_s: time in the rollouts, environment included.
+        updates_s: time in gradient updates.
     """
 
     steps: int
@@ -75,7 +75,7 @@ def measure(scale: float) -> Result:
 
 
 def one_process(rollouts: int, cells: int | None = None) -> Share:
-    """Train for some rollouts with one worker; `cells` instead of the experiment's."""
+    """Train for some rollouts with one worker; `cells` overrides the experiment's number."""
     here = _shortened(load(EXPERIMENT), 1, rollouts, cells)
     with (
         timed(Batch, "step") as physics,
@@ -96,14 +96,14 @@ def one_process(rollouts: int, cells: int | None = None) -> Share:
 
 
 def steps_per_s(workers: int, rollouts: int, cells: int | None = None) -> float:
-    """Train for some rollouts; return policy steps per second end to end, all `cells` of all workers together."""
+    """Train for some rollouts; return policy steps per second end to end, for all `cells` of all workers together."""
     records = _train(_shortened(load(EXPERIMENT), workers, rollouts, cells))
     ends = [record for record in records if record["kind"] == "rollout"]
     return len(ends) / sum(1.0 / record["steps_per_s"] for record in ends)
 
 
 def _shortened(experiment: Experiment, workers: int, rollouts: int, cells: int | None = None) -> Experiment:
-    """Return `experiment` from a fresh network, on other processes, for a few rollouts, with next to no evaluation."""
+    """Return `experiment` from a fresh network, with other workers, for a few rollouts and minimal evaluation."""
     cells = (cells or experiment.algorithm.cells) // workers * workers
     steps = cells * experiment.algorithm.rollout * rollouts
     return experiment.model_copy(

@@ -1,4 +1,4 @@
-"""What the force ceiling on a UR controller does in the world: a peg pressed into the block, in simulated time."""
+"""Effect of the force ceiling on a UR controller: a peg pressed into the block, in simulated time."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,20 +15,20 @@ from wire.records import TICK_S
 from wire.task import SENSOR_DELAY_TICKS, Task
 
 GENTLE_M_S = 0.02
-"""Of the sinking target: 60 N/s by the law's stiffness, once the peg stands on the block."""
+"""Speed of the sinking target: 60 N/s by the law's stiffness once the peg stands on the block."""
 LONGEST_PRESS_TICKS = 2000
 STOP_TICKS = 250
-"""Watched after the ceiling; a stop takes 50, and standing still has to last."""
+"""Ticks observed after the ceiling; a stop takes 50, and standstill must last."""
 NO_CEILING_N = 1e3
 
 
 class Press(NamedTuple):
-    """One press into the ceiling.
+    """One press up to the ceiling.
 
     Attributes:
-        reaction: ticks from the first one measured at the ceiling to the first whose target velocity is below that of
-            an arm without a ceiling.
-        standstill: ticks from there to the first from which on the TCP stands.
+        reaction: ticks from the first measurement at the ceiling to the first tick whose target velocity is below that
+            of an arm without a ceiling.
+        standstill: ticks from there to the first tick from which the TCP stands.
         peak_n: largest true force on the peg.
     """
 
@@ -73,16 +73,16 @@ def measure(scale: float) -> Result:
         ),
         rows=tuple(rows),
         finding=f"The target velocity falls at most {slowest} tick{'s' * (slowest > 1)} after a measurement at the "
-        f"ceiling; the true force goes to it {overshoots}, at worst.",
-        method="Emulated controller in this process, tick by tick, and a host that has the target sink into the block "
+        f"ceiling; the largest true force relative to it is {overshoots}.",
+        method="Emulated controller in this process, tick by tick, and a host that lowers the target into the block "
         "beside the hole, one step every 100 ms. Reaction: from the first tick that measures the ceiling to the first "
         "whose target velocity is below that of the same arm without a ceiling. Standstill: from the same tick until "
-        f"the TCP stays below {STANDSTILL_M_S * 1e3:g} mm/s. True force: of the contacts on the peg, without sensor.",
+        f"the TCP stays below {STANDSTILL_M_S * 1e3:g} mm/s. True force: contact force on the peg, without sensor.",
     )
 
 
 def _press(config: CellConfig, plan: Plan, speed_m_s: float, task: Task) -> Press:
-    """Press until the ceiling stops the arm, beside one that it does not stop."""
+    """Press until the ceiling stops the arm, in parallel with an arm without a ceiling."""
     ceiling_n = plan.limits.force_ceiling_n
     unlimited = config.model_copy(update={"limits": config.limits.model_copy(update={"force_ceiling_n": NO_CEILING_N})})
     arm, other = PressedArm(config, plan, ceiling_n, task), PressedArm(unlimited, plan, NO_CEILING_N, task)

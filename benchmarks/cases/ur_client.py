@@ -1,4 +1,4 @@
-"""CPU time that a UR arm's 500 packages a second cost this driver, beside its client alone and beside ur_rtde."""
+"""CPU time of this driver for a UR arm's 500 packages a second, beside its client alone and beside ur_rtde."""
 
 import importlib.util
 import json
@@ -24,7 +24,7 @@ PATIENCE_S = 60.0
 
 @dataclass(slots=True)
 class _Rounds:
-    """Of one reader: CPU seconds per second, and packages seen per package sent."""
+    """Rounds of one reader: CPU seconds per second, and packages seen per package sent."""
 
     share: list[float] = field(default_factory=list[float])
     seen: list[float] = field(default_factory=list[float])
@@ -59,13 +59,13 @@ def measure(scale: float) -> Result:
         f"the whole driver takes {driver / asked:.2f}.",
         method=f"One emulated controller in real time, the driver's {len(OUTPUTS)} variables, {count} rounds of "
         f"{span_s:g} s by turns, medians; each reader in a process of its own, CPU time of all its threads. "
-        "This side's readers are called for every package. ur_rtde keeps the newest: who wants values asks, here at "
-        "500 Hz by the clock of the host for 13 of the variables, and sees what is newest then.",
+        "This project's readers are called for every package. ur_rtde keeps the newest and is polled, here at "
+        "500 Hz by the clock of the host for 13 of the variables.",
     )
 
 
 def _read(shipped: ShippedCell, reader: str, span_s: float) -> tuple[float, float]:
-    """Let one reader read; return its CPU seconds per second, and the share of the packages that it saw."""
+    """Run one reader; return its CPU seconds per second, and the share of the packages that it saw."""
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.stands.ur_readers", reader, HOST, str(span_s)],
         cwd=ROOT,

@@ -1,4 +1,4 @@
-"""What a UR arm does whose host falls silent while it pushes: control processes killed, and hosts that are muted."""
+"""Behaviour of a pushing UR arm whose host falls silent: control processes killed, and hosts muted."""
 
 import asyncio
 import random
@@ -25,26 +25,26 @@ from wire.records import TICK_S
 from wire.task import Task
 
 CONTACT_TIMEOUT_S = 20.0
-"""From a run's start; a peg that meets nothing has found the hole."""
+"""Time from a run's start, s; a peg without contact by then has found the hole."""
 LATER_S = 0.1
-"""At most, from contact to the kill."""
+"""Longest time from contact to the kill, s."""
 WATCHED_S = 0.6
-"""From the last package on: watchdog, stop, and standing still for a while."""
+"""Time observed from the last package, s: watchdog, stop, and standstill for a while."""
 STILL_S = 0.1
-"""So long below the standstill's speed is standing."""
+"""Time below the speed of standstill that counts as standstill, s."""
 FORCES_N = (3.0, 25.0)
 HEIGHTS_M = (0.0, 0.005)
 LONGEST_PRESS_TICKS = 2000
 
 
 class Silence(NamedTuple):
-    """One of them.
+    """One silence of a host.
 
     Attributes:
-        ended_s: from the last package to the program's end.
-        stood_s: from the last package to the standstill of the TCP.
+        ended_s: time from the last package to the program's end.
+        stood_s: time from the last package to the standstill of the TCP.
         at_n: true force on the peg at the last package.
-        peak_n: and the largest from then on.
+        peak_n: largest true force from then on.
     """
 
     ended_s: float
@@ -81,11 +81,11 @@ def measure(scale: float) -> Result:
         ),
         rows=tuple((way, *_summed_up(silences, ceiling_n)) for way, silences in ways.items()),
         finding=f"A killed control process's program ends at most {slowest_s * 1e3:.0f} ms after the last package "
-        f"(watchdog {watchdog_s * 1e3:.0f} ms); the true force goes at worst {worst_n - ceiling_n:+.1f} N to the "
+        f"(watchdog {watchdog_s * 1e3:.0f} ms); the largest true force is {worst_n - ceiling_n:+.1f} N relative to the "
         f"ceiling of {ceiling_n:g} N.",
         method="Killed: emulated controller and control process in real time; the latter gets SIGKILL within "
         f"{LATER_S * 1e3:.0f} ms after the peg has begun to press in an insertion. Muted: tick by tick in this "
-        f"process, the peg over the block beside the hole, a host that writes no register any more at a true force of "
+        f"process, the peg over the block beside the hole, a host that stops writing registers at a true force of "
         f"{FORCES_N[0]:g}-{FORCES_N[1]:g} N, or {HEIGHTS_M[0] * 1e3:g}-{HEIGHTS_M[1] * 1e3:g} mm above the block. All "
         f"times from the last package; standstill: below {STANDSTILL_M_S * 1e3:g} mm/s for {STILL_S * 1e3:g} ms.",
     )
@@ -101,9 +101,9 @@ def _summed_up(silences: Sequence[Silence], ceiling_n: float) -> tuple[str, ...]
 
 
 def _mute(config: CellConfig, plan: Plan, speed_m_s: float, task: Task) -> Silence:
-    """Press, and fall silent: in contact where the target sinks gently, before it where it does not."""
+    """Press, and fall silent: in contact if the target sinks gently, before contact if it does not."""
     arm = PressedArm(config, plan, plan.limits.force_ceiling_n, task)
-    chance = random.Random(task.seed)  # noqa: S311  # no secret
+    chance = random.Random(task.seed)  # noqa: S311  # not secret
     force_n, height_m = chance.uniform(*FORCES_N), chance.uniform(*HEIGHTS_M)
     for _ in range(LONGEST_PRESS_TICKS):
         arm.press(speed_m_s)
@@ -133,7 +133,7 @@ def _kills(shipped: ShippedCell, count: int) -> list[Silence]:
                 asyncio.run(_start(shipped, seed))
                 if not _is_pressing(lines, heard):
                     continue
-                time.sleep(random.Random(seed).uniform(0.0, LATER_S))  # noqa: S311  # no secret
+                time.sleep(random.Random(seed).uniform(0.0, LATER_S))  # noqa: S311  # not secret
                 killed_s.append(time.monotonic())
                 service.kill()
                 service.wait()
@@ -150,13 +150,13 @@ async def _start(shipped: ShippedCell, seed: int) -> None:
     async with CellClient(shipped.config.cell.id, [shipped.config.cell.endpoint]) as client:
         try:
             await operating.start(client, shipped.recipe, seed)
-        except operating.LatchedError:  # it says that its last run was interrupted
+        except operating.LatchedError:  # the cell reports that its last run was interrupted
             await operating.reset(client)
             await operating.start(client, shipped.recipe, seed)
 
 
 def _is_pressing(lines: list[str], heard: int) -> bool:
-    """Wait until the controller says so again."""
+    """Wait until the controller reports contact again."""
     deadline_s = time.monotonic() + CONTACT_TIMEOUT_S
     while not any(CONTACT in line for line in lines[heard:]):
         if time.monotonic() > deadline_s:
@@ -166,7 +166,7 @@ def _is_pressing(lines: list[str], heard: int) -> bool:
 
 
 def _silence(record: npt.NDArray[np.float64], killed_s: float) -> Silence:
-    """Cut from a record what followed the last package of a control process that was killed."""
+    """Cut the part after the last package of a killed control process from a record."""
     near = record[(record[:, 0] > killed_s - WATCHED_S) & (record[:, 0] < killed_s + WATCHED_S)]
     last = int(np.flatnonzero(near[:, 1])[-1])
     times_s, _, runs, speed, force = near[last:].T
@@ -176,10 +176,10 @@ def _silence(record: npt.NDArray[np.float64], killed_s: float) -> Silence:
 def _ends(
     times_s: npt.NDArray[np.float64], runs: npt.NDArray[np.float64], speed: npt.NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Times at which the program had ended, and from which on the TCP stood for `STILL_S`.
+    """Return the times at which the program had ended and from which on the TCP stood for `STILL_S`.
 
-    A peg that is left under load may slip into its hole long after the arm has come to rest; that is no motion of it.
-    Infinite where the TCP never stands: a jammed peg may go on vibrating, by micrometres, above that speed.
+    A peg left under load may slip into its hole long after the arm has come to rest; that is no motion of the arm. The
+    second time is infinite if the TCP never stands: a jammed peg may keep vibrating, by micrometres, above that speed.
 
     Raises:
         UnavailableError: the program did not end.

@@ -1,4 +1,4 @@
-"""From a UR controller's package with a force above the ceiling to the stop order, between real processes."""
+"""Time from a UR controller's package with a force above the ceiling to the stop order, between real processes."""
 
 import asyncio
 import socket
@@ -31,11 +31,11 @@ def measure(scale: float) -> Result:
             (name, str(len(taken)), *quantiles(taken), f"{median(taken) / reference:.1f}") for name, taken in rows
         ),
         finding=f"At the controller's socket {taken_s * 1e6:.0f} µs (median), {taken_s / reference:.1f} bare echoes; "
-        "the control program on the controller does not wait for it.",
+        "the control program on the controller does not wait for this order.",
         method="Control process, emulated controller and between them a relay of RTDE, in real time. While the control "
         f"process approaches, the relay sends one package of {FORCE_N:g} N, and times the arrival of the stop order in "
-        "the input registers, both at its own socket. The arm's own law feels nothing. The echo is of as many bytes as "
-        f"a package has, {size}. Runs that ended before are left out.",
+        "the input registers, both at its own socket. The arm's own law is not affected. The echo has as many bytes as "
+        f"a package, {size}. Runs that ended earlier are excluded.",
     )
 
 

@@ -1,1 +1,1 @@
-"""What every measurement uses: processes, clocks, results and their tables."""
+"""Tools shared by all measurements: processes, clocks, results and their tables."""

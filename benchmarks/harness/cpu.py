@@ -4,7 +4,7 @@ import time
 
 
 def cpu_s(pid: int) -> float:
-    """CPU seconds that all threads of a process of this machine have taken; to the nanosecond, unlike `/proc`.
+    """Return the CPU seconds of all threads of a process of this machine; to the nanosecond, unlike `/proc`.
 
     Raises:
         OSError: there is no such process.

@@ -1,4 +1,4 @@
-"""Queries over Zenoh, one at a time, and the spans they take."""
+"""Queries over Zenoh, one at a time, and their durations."""
 
 import time
 from collections.abc import Callable
@@ -12,7 +12,7 @@ def until_answered(session: zenoh.Session, selector: str, payload: bytes | None 
     """Wait until the other side's queryable is known here.
 
     Raises:
-        TimeoutError: it does not answer.
+        TimeoutError: the other side does not answer.
     """
     deadline = time.monotonic() + TIMEOUT_S
     while not any(reply.ok is not None for reply in session.get(selector, payload=payload, timeout=0.5)):
@@ -25,7 +25,7 @@ def answer(session: zenoh.Session, selector: str, payload: bytes | None = None) 
     """Return the first answer.
 
     Raises:
-        TimeoutError: there is none.
+        TimeoutError: there is no answer.
     """
     for reply in session.get(selector, payload=payload, timeout=TIMEOUT_S):
         if reply.ok is not None:
@@ -34,7 +34,7 @@ def answer(session: zenoh.Session, selector: str, payload: bytes | None = None) 
 
 
 def spans(count: int, exchange: Callable[[], object]) -> list[float]:
-    """Return the seconds that each of `count` exchanges takes, after a tenth as many to warm up."""
+    """Return the duration of each of `count` exchanges, s, after a tenth as many to warm up."""
     taken: list[float] = []
     for number in range(count + count // 10):
         begin = time.perf_counter()

@@ -1,4 +1,4 @@
-"""The conditions under which figures were taken: without them a figure is not worth reading."""
+"""Conditions under which figures were taken; a figure without them says little."""
 
 import ctypes
 import os
@@ -13,7 +13,7 @@ _MCL_CURRENT = 1
 
 
 def conditions() -> dict[str, str]:
-    """Describe machine, versions, permissions and load, now."""
+    """Describe machine, versions, permissions and present load."""
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "commit": _commit(),
@@ -29,7 +29,7 @@ def conditions() -> dict[str, str]:
 
 
 def load() -> str:
-    """Return the load of the last minute: above the number of cores, every figure of time is too high."""
+    """Return the load of the last minute; above the number of cores, every measured time is too high."""
     return f"{os.getloadavg()[0]:.2f}"
 
 
@@ -59,11 +59,11 @@ def _processor() -> str:
 
 
 def _commit() -> str:
-    """Return the commit, marked where tracked files differ from it, or that there is none."""
+    """Return the commit, marked if tracked files differ from it, or a text if there is none."""
     root = Path(__file__).resolve().parents[2]
     try:
         done = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--exclude", "*"],  # noqa: S607  # whichever git there is
+            ["git", "describe", "--always", "--dirty", "--exclude", "*"],  # noqa: S607  # any installed git will do
             cwd=root,
             capture_output=True,
             text=True,

@@ -1,26 +1,26 @@
-"""What an operator does, for measurements of the real processes: wait for a state, start, reset."""
+"""An operator's actions for measurements of the real processes: wait for a state, start, reset."""
 
 import asyncio
 import time
 
 from benchmarks.harness.result import UnavailableError
 from service.client import CellClient, CellRefusedError, CellSilentError
-from service.messages import CellState, Reason, ResetRequest, RunState, StartRequest
+from service.messages import CellState, RefusalReason, ResetRequest, RunState, StartRequest
 
 STATE_TIMEOUT_S = 60.0
 POLL_S = 0.005
 
 
 class LatchedError(Exception):
-    """The cell latched unasked: on a loaded host its own watch does that. Reset it and go on."""
+    """The cell latched by itself; on a loaded host its own watch causes that. Reset it and continue."""
 
 
 async def until(client: CellClient, *wanted: CellState) -> CellState:
     """Wait for one of several states.
 
     Raises:
-        LatchedError: the cell latches, where that was not awaited.
-        UnavailableError: none of them comes.
+        LatchedError: the cell latches although that was not awaited.
+        UnavailableError: none of the states comes.
     """
     deadline = time.monotonic() + STATE_TIMEOUT_S
     while client.state not in wanted:
@@ -38,22 +38,22 @@ async def start(client: CellClient, recipe: str, seed: int) -> str:
 
     Raises:
         LatchedError: the cell has latched.
-        UnavailableError: it is refused.
+        UnavailableError: the start is refused.
     """
     while True:
         await until(client, CellState.READY)
         try:
             return (await client.start(StartRequest(recipe=recipe, seed=seed))).run.id
         except CellRefusedError as error:
-            if error.problem.reason is Reason.LATCHED:
+            if error.problem.reason is RefusalReason.LATCHED:
                 raise LatchedError(str(error.problem.code)) from error
-            if error.problem.reason is not Reason.WRONG_STATE:  # READY was half a heartbeat ago
+            if error.problem.reason is not RefusalReason.WRONG_STATE:  # READY was half a heartbeat ago
                 raise UnavailableError(f"the run was refused: {error}") from error
         await asyncio.sleep(POLL_S)
 
 
 async def approach(client: CellClient, recipe: str, seed: int) -> bool:
-    """Start a run and wait until the arm moves; return whether it does, rather than failing its pre-flight.
+    """Start a run and wait until the arm moves; return False if the run fails its pre-flight instead.
 
     Raises:
         LatchedError: the cell latches.
@@ -72,10 +72,10 @@ async def approach(client: CellClient, recipe: str, seed: int) -> bool:
 
 
 async def reset(client: CellClient) -> None:
-    """Reset once the stop is over and the arm at rest.
+    """Reset once the stop is complete and the arm at rest.
 
     Raises:
-        UnavailableError: it stays refused.
+        UnavailableError: the reset stays refused.
     """
     await until(client, CellState.LATCHED)
     deadline = time.monotonic() + STATE_TIMEOUT_S
@@ -88,5 +88,5 @@ async def reset(client: CellClient) -> None:
             await asyncio.sleep(0.05)
         else:
             break
-    while (heard := client.last_status) is None or heard.seq < answered.seq:  # heartbeats from before are still coming
+    while (heard := client.last_status) is None or heard.seq < answered.seq:  # earlier heartbeats are still arriving
         await asyncio.sleep(POLL_S)

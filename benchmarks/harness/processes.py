@@ -1,4 +1,4 @@
-"""Starting the other side of a measurement as a process of its own, on loopback, and ending it."""
+"""Start and end of the other side of a measurement as a process of its own, on loopback."""
 
 import socket
 import subprocess
@@ -32,15 +32,15 @@ def running(
 
     Args:
         *arguments: module and its options.
-        ready: text of an output line that says that it can be used.
-        environment: instead of ours.
-        lines: takes its output.
+        ready: text of an output line that reports readiness.
+        environment: environment of the process instead of the present one.
+        lines: receives the output.
 
     Yields:
-        The process, once it has said so.
+        The process, after it has reported readiness.
 
     Raises:
-        UnavailableError: it ended, or said nothing in time; the text holds its last lines.
+        UnavailableError: the process ended, or was silent for too long; the text contains its last lines.
     """
     process = subprocess.Popen(
         [sys.executable, "-m", *arguments],
@@ -54,7 +54,7 @@ def running(
     seen = threading.Event()
 
     def read() -> None:
-        assert process.stdout is not None  # noqa: S101  # a pipe was asked for
+        assert process.stdout is not None  # noqa: S101  # a pipe was requested
         with process.stdout:
             for line in process.stdout:
                 lines.append(line)

@@ -1,4 +1,4 @@
-"""Results as a table for the eye and as JSON for a program."""
+"""Reports of results: a table for people and JSON for programs."""
 
 import json
 from collections.abc import Mapping
@@ -24,7 +24,7 @@ def show(console: Console, name: str, result: Result) -> None:
 
 
 def save(folder: Path, conditions: Mapping[str, str], results: Mapping[str, Result]) -> tuple[Path, Path]:
-    """Write `latest.md` and `latest.json`; returns their paths."""
+    """Write `latest.md` and `latest.json`; return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     markdown, document = folder / "latest.md", folder / "latest.json"
     markdown.write_text(_markdown(conditions, results), "utf-8")

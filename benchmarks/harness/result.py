@@ -1,4 +1,4 @@
-"""What one benchmark hands over, and how spans of time are summed up."""
+"""Result of one benchmark, and quantiles of durations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ QUANTILES = ("p50", "p99", "p99.9", "max")
 
 
 class UnavailableError(Exception):
-    """This machine or checkout cannot measure that; the text says what is missing."""
+    """This machine or checkout cannot make the measurement; the text says what is missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,12 +17,12 @@ class Result:
     """One table.
 
     Attributes:
-        question: what it answers.
-        columns: heads, units included.
+        question: question that the table answers.
+        columns: headings, units included.
         rows: one value per column.
-        finding: the ratio that matters, in a sentence.
-        method: how it was measured, where the rows do not say.
-        missing: why there are no rows; empty if there are.
+        finding: the decisive ratio, in a sentence.
+        method: method of measurement, as far as the rows do not show it.
+        missing: reason why there are no rows; empty otherwise.
     """
 
     question: str
@@ -34,7 +34,7 @@ class Result:
 
 
 def quantiles(spans_s: Sequence[float], unit_s: float = 1e-6) -> tuple[str, ...]:
-    """Return `QUANTILES` of spans in s, as text in units of `unit_s`."""
+    """Return `QUANTILES` of durations in s, as text in units of `unit_s`."""
     values = np.quantile(np.asarray(spans_s), (0.5, 0.99, 0.999, 1.0)) / unit_s
     return tuple(f"{value:.3g}" if value < 100 else f"{value:.0f}" for value in values)
 

@@ -1,4 +1,4 @@
-"""Time spent inside one method of a class, or one function of a module, while other people's code calls it."""
+"""Time spent inside one method of a class, or one function of a module, while other code calls it."""
 
 import time
 from collections.abc import Generator
@@ -38,7 +38,7 @@ class Stopwatch:
 
 @contextmanager
 def timed(owner: type[Any] | ModuleType, method: str) -> Generator[Stopwatch]:
-    """Measure every call of `owner.method` until the block ends; costs about a microsecond per call."""
+    """Measure every call of `owner.method` until the block ends; this costs about a microsecond per call."""
     watch = Stopwatch()
     original = owner.__dict__[method]
 

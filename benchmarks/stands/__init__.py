@@ -1,1 +1,1 @@
-"""The other sides of measurements: worlds, controllers, clients and peers, most of them processes of their own."""
+"""The other sides of measurements: worlds, controllers, clients and peers, most of them as processes of their own."""

@@ -1,4 +1,4 @@
-"""The bare transport: a process that sends back what it gets, with the settings of a cell's state and queries.
+"""The bare transport: a process that returns what it receives, with the settings of a cell's state and queries.
 
 `python -m benchmarks.stands.echo ENDPOINT` echoes publications on `bench/ping` to `bench/pong` and answers queries on
 `bench/ask`.

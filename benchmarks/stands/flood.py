@@ -1,6 +1,6 @@
 """A flood of HTTP requests on loopback, bounded in time: `python -m benchmarks.stands.flood PORT SECONDS CONNECTIONS`.
 
-Prints `ready`, then, at the end, how many answers it got.
+It prints `ready` and, at the end, the number of answers it received.
 """
 
 import asyncio
@@ -11,7 +11,7 @@ PATHS = ("/status", "/runs", "/health")
 
 
 async def _requests(port: int, until_s: float, offset: int) -> int:
-    """Ask one request after another on one connection; return the number of answers."""
+    """Send one request after another on one connection; return the number of answers."""
     answers = 0
     while time.monotonic() < until_s:
         try:

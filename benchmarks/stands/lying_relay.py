@@ -1,8 +1,8 @@
-"""Stands between a driver and an emulated controller, lies once about the force when asked, and times the stop it gets.
+"""Relay between a driver and an emulated controller; on request it falsifies the force once and times the stop.
 
 `python -m benchmarks.stands.lying_relay HOST PORT UPSTREAM_PORT ENDPOINT` relays RTDE from PORT to UPSTREAM_PORT of
-HOST. A query on `bench/trip` at the Zenoh ENDPOINT is answered, once the stop has arrived here, with the seconds from
-the package's leaving to the stop's arrival. The arm itself is not touched, and feels the force as it is.
+HOST. A query on `bench/trip` at the Zenoh ENDPOINT is answered once the stop has arrived here, with the seconds from
+the package's departure to the stop's arrival. The arm itself is not affected and measures the true force.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ from wire.session import close_session, open_session
 READ_BYTES = 1 << 16
 _FORCE = OUTPUTS.index("actual_TCP_force")
 _ORDER = struct.Struct(">Bii")
-"""Recipe, sequence and command, with which the driver's inputs begin."""
+"""Recipe, sequence and command, which begin the driver's inputs."""
 
 
 class LyingRelay:
@@ -38,11 +38,11 @@ class LyingRelay:
         self._recipe = Recipe(OUTPUTS, [fields.OUTPUTS[name] for name in OUTPUTS], 1)
 
     def trip(self, query: zenoh.Query) -> None:
-        """On Zenoh's thread: do it with the next package."""
+        """Falsify the next package; called on Zenoh's thread."""
         self._sent_s, self._query = None, query
 
     def relay(self, client: socket.socket, controller: socket.socket) -> None:
-        """Relay until either side closes; raises OSError where one of them resets."""
+        """Relay until either side closes; raise OSError if one of them resets."""
         data, orders = FrameReader(), FrameReader()
         with selectors.DefaultSelector() as selector:
             for side in (client, controller):

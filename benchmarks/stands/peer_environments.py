@@ -1,6 +1,6 @@
-"""Environments to be compared, each in a process of its own: steps one and prints what that took as JSON.
+"""Environments to be compared, each in a process of its own: steps one of them and prints its figures as JSON.
 
-Runs in whichever Python has the environment, so it needs only the standard library, numpy and
+It runs in any Python that has the environment, so it needs only the standard library, numpy and
 `benchmarks.harness.stopwatch`.
 """
 
@@ -22,23 +22,23 @@ from benchmarks.harness.stopwatch import timed
 CELLS = 192
 WARM_UP = 20
 RESETS = 4
-"""Asked for before the steps; the first is not counted."""
+"""Number of resets requested before the steps; the first is not counted."""
 
 
 @dataclass(slots=True)
 class Taken:
-    """What stepping an environment took.
+    """Figures of stepping an environment.
 
     Attributes:
-        cells: stepped at once.
+        cells: number of cells stepped at once.
         step_s: simulated time of an environment step.
         tick_s: simulated time of a physics step.
-        versions: of the packages, in words.
-        steps: environment steps, of all cells.
-        stepping_s: that they took, without resets.
-        physics_s: of these, spent in the physics engine's own step.
-        resets: of one cell each.
-        resets_s: that they took.
+        versions: versions of the packages, in words.
+        steps: environment steps of all cells.
+        stepping_s: time of those steps, without resets.
+        physics_s: part of that time in the physics engine's own step.
+        resets: resets, one cell each.
+        resets_s: time of the resets.
     """
 
     cells: int
@@ -54,16 +54,16 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class Environment:
-    """An environment that is ready to be stepped.
+    """An environment ready to be stepped.
 
     Attributes:
-        low: bounds of an action; (k,), or (n, k) for several cells.
-        high: likewise.
+        low: lower bounds of an action; (k,), or (n, k) for several cells.
+        high: upper bounds, likewise.
         reset: begins an episode in every cell.
         step: steps with such an action; returns the number of episodes that ended.
         physics: owner and name of each function that steps the physics.
-        own_reset: owner and name of the function by which `step` itself begins anew; None if the caller has to.
-        taken: what is known before.
+        own_reset: owner and name of the function by which `step` itself resets; None if the caller must reset.
+        taken: figures known before the steps.
     """
 
     low: npt.NDArray[Any]
@@ -76,14 +76,14 @@ class Environment:
 
 
 def one_cell() -> Environment:
-    """Our Gymnasium environment."""
+    """Return this project's Gymnasium environment."""
     _module("training")
     env = _module("gymnasium").make("dsl_assembly/PegInHole-v0")
     return _gymnasium(env, _ours(env.unwrapped.contract, 1), (_module("mujoco.batch").Batch, "step"))
 
 
 def many_cells() -> Environment:
-    """Our vectorised Gymnasium environment, its physics on one thread."""
+    """Return this project's vectorised Gymnasium environment, with its physics on one thread."""
     _module("training")
     kind = "vector_entry_point"
     env = _module("gymnasium").make_vec("dsl_assembly/PegInHole-v0", num_envs=CELLS, vectorization_mode=kind)
@@ -92,7 +92,7 @@ def many_cells() -> Environment:
 
 
 def fetch_pick_and_place() -> Environment:
-    """Gymnasium-Robotics: an arm whose hand the simulator draws along (a mocap weld)."""
+    """Return Gymnasium-Robotics' arm, whose hand is pulled along by the simulator (a mocap weld)."""
     _module("gymnasium").register_envs(_module("gymnasium_robotics"))
     env = _module("gymnasium").make("FetchPickAndPlace-v4")
     plain = env.unwrapped
@@ -101,12 +101,12 @@ def fetch_pick_and_place() -> Environment:
 
 
 def nut_assembly() -> Environment:
-    """One arm of robosuite puts a nut on a peg."""
+    """Return robosuite's task in which one arm puts a nut on a peg."""
     return _robosuite("NutAssemblySquare", "UR5e")
 
 
 def two_arm_peg_in_hole() -> Environment:
-    """Two arms of robosuite, a peg in one and the hole in the other."""
+    """Return robosuite's task of two arms, a peg in one and the hole in the other."""
     return _robosuite("TwoArmPegInHole", ["Panda", "Panda"])
 
 
@@ -116,7 +116,7 @@ ENVIRONMENTS: dict[str, Callable[[], Environment]] = {
 
 
 def stepped(environment: Environment, seconds: float) -> Taken:
-    """Step with random actions for so many seconds of wall-clock, which do not count resets, after a warm-up."""
+    """Step with random actions for `seconds` of wall-clock, resets excluded, after a warm-up."""
     taken, rng = environment.taken, np.random.default_rng(0)
     with ExitStack() as stack:
         physics = [stack.enter_context(timed(*function)) for function in environment.physics]
@@ -169,7 +169,7 @@ def _robosuite(name: str, robots: str | list[str]) -> Environment:
         has_renderer=False,
         has_offscreen_renderer=False,
         use_camera_obs=False,
-        hard_reset=False,  # the model is kept from episode to episode, as ours is
+        hard_reset=False,  # the model is kept from episode to episode, as in this project
     )
     low, high = env.action_spec
 
@@ -186,7 +186,7 @@ def _ours(contract: Any, cells: int) -> Taken:
 
 
 def _module(name: str) -> Any:
-    """Import what only some Pythons have."""
+    """Import a module that only some Pythons have."""
     return importlib.import_module(name)
 
 
@@ -201,7 +201,7 @@ def _spent(call: Callable[[], object]) -> float:
 
 
 def main(name: str, seconds: str) -> None:
-    """Print the fields of `Taken`, or which module is `missing`."""
+    """Print the fields of `Taken`, or the `missing` module."""
     try:
         environment = ENVIRONMENTS[name]()
     except ModuleNotFoundError as error:

@@ -12,7 +12,7 @@ from service.config import CellConfig
 from service.drivers.ur import registers
 from service.drivers.ur.program import render
 from service.drivers.ur.registers import Command
-from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.world.world import World
 from wire.records import TICK_S
@@ -20,17 +20,18 @@ from wire.rtde.modes import RuntimeState
 from wire.task import Task
 
 BESIDE_M = 0.045
-"""From the hole's axis: over the block, clear of the hole."""
+"""Distance from the hole's axis, m: over the block, clear of the hole."""
 ABOVE_M = (0.006, 0.008)
-"""Of the peg over the block, at first; by the seed, so that contact falls on any moment of a target's period."""
+"""Range of the peg's initial height over the block, m; drawn from the seed, so that contact falls on any moment of a
+target's period."""
 TARGET_TICKS = 50
-"""Between two targets, as a policy gives them."""
+"""Ticks between two targets, as from a policy."""
 ZERO_TICKS = 150
 _ECHO_TICKS = 10
 
 
 class ContactForce:
-    """The true force on the peg, as the physics solves it: no weight, no inertia, no sensor."""
+    """True force on the peg as solved by the physics: no weight, no inertia, no sensor."""
 
     def __init__(self, plant: Plant) -> None:
         self._world = plant.world
@@ -38,7 +39,7 @@ class ContactForce:
         self._peg = self._model.geom("peg").id
 
     def __call__(self) -> float:
-        """Resultant of what touches the peg, N."""
+        """Return the resultant of the contacts on the peg, N."""
         data = self._world.data()
         mujoco.mj_forward(self._model, data)  # the forces at this state, not those that led to it
         total, wrench = np.zeros(3), np.zeros(6)
@@ -52,28 +53,28 @@ class ContactForce:
 
 
 class PressedArm:
-    """An arm that stands over the block beside the hole, engaged, and a host that writes its registers in every tick.
+    """An engaged arm over the block beside the hole, and a host that writes its registers in every tick.
 
     Args:
-        config: what the control program is made of.
+        config: configuration of the control program.
         plan: law and limits of the engagement.
-        ceiling_n: of the engagement, instead of the plan's.
-        task: the world.
+        ceiling_n: ceiling of the engagement, instead of the plan's.
+        task: task of the world.
 
     Attributes:
-        plant: the arm.
-        silent: the host writes nothing any more.
+        plant: simulated arm.
+        silent: True once the host has stopped writing.
     """
 
     def __init__(self, config: CellConfig, plan: Plan, ceiling_n: float, task: Task) -> None:
         self.plant = Plant(World(1, task.part))
         self.plant.lay_out(task)
-        self.controller = Controller(self.plant)
+        self.controller = make_controller(self.plant)
         self.silent = False
         self._contact = ContactForce(self.plant)
         self._sequence = 0
         self._order: tuple[float, ...] = registers.input_values(0, Command.NONE, ())
-        self._stand_over_the_block(random.Random(task.seed).uniform(*ABOVE_M))  # noqa: S311  # no secret
+        self._stand_over_the_block(random.Random(task.seed).uniform(*ABOVE_M))  # noqa: S311  # not secret
         self._tick(_ECHO_TICKS)
         self.controller.run_script(render(config).text)
         self._tick(ZERO_TICKS)
@@ -88,7 +89,7 @@ class PressedArm:
         self._ticks = 0
 
     def press(self, speed_m_s: float) -> None:
-        """Let one tick pass; the target sinks at a speed, a step in every 100 ms."""
+        """Let one tick pass; the target sinks at a speed, by one step every 100 ms."""
         if self._ticks % TARGET_TICKS == 0:
             self._target[2] -= speed_m_s * TARGET_TICKS * TICK_S
             self._write(Command.TARGET, self._target)
@@ -97,32 +98,32 @@ class PressedArm:
 
     @property
     def runs(self) -> bool:
-        """Whether the controller runs the control program."""
+        """The controller runs the control program."""
         return self.controller.runtime_state is RuntimeState.PLAYING
 
     @property
     def height_m(self) -> float:
-        """Of the peg over the block."""
+        """Height of the peg over the block, m."""
         return -float(self.plant.world.depth[0])
 
     @property
     def measured_n(self) -> float:
-        """Resultant force as the controller measures it."""
+        """Resultant force measured by the controller, N."""
         return math.hypot(*self.plant.wrench[:3].tolist())
 
     @property
     def true_n(self) -> float:
-        """Resultant force on the peg."""
+        """Resultant force on the peg, N."""
         return self._contact()
 
     @property
     def target_speed_m_s(self) -> float:
-        """How fast the controller has the TCP sink."""
+        """Commanded sinking speed of the TCP, m/s."""
         return -self.controller.motion.target_tcp_speed()[2]
 
     @property
     def speed_m_s(self) -> float:
-        """How fast the TCP moves."""
+        """Speed of the TCP, m/s."""
         return math.hypot(*self.plant.tcp_speed()[:3])
 
     def _stand_over_the_block(self, above_m: float) -> None:

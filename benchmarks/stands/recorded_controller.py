@@ -1,11 +1,11 @@
-"""The emulated controller's command as it is, with one thing added: it records what its arm does and feels.
+"""The emulated controller's command with one addition: it records the motion and the forces of its arm.
 
-`python -m benchmarks.stands.recorded_controller OUTPUT OPTION…`, with the options of `python -m sim_backend
-ur-controller`. It says `contact` whenever the peg begins to press, and writes one row per tick to OUTPUT (`.npy`) at
-the end: s of the monotonic clock, whether inputs came, whether a program runs, speed of the TCP in m/s, true force on
-the peg in N.
+Run `python -m benchmarks.stands.recorded_controller OUTPUT OPTION…` with the options of `python -m sim_backend
+ur-controller`. It prints `contact` whenever the peg begins to press, and writes one row per tick to OUTPUT (`.npy`) at
+the end: monotonic time in s, inputs received, program running, speed of the TCP in m/s, true force on the peg in N.
 """
 
+import functools
 import math
 import sys
 import time
@@ -17,6 +17,7 @@ import numpy as np
 
 from benchmarks.stands.pressed_arm import ContactForce
 from sim_backend import __main__ as command
+from sim_backend.ur_controller.builtins import standard_builtins
 from sim_backend.ur_controller.controller import Controller
 from wire.rtde.modes import RuntimeState
 
@@ -27,7 +28,7 @@ PRESSING_N, FREE_N = 3.0, 0.5
 class RecordedController(Controller):
     """Adds a row per tick to `rows`."""
 
-    rows: list[tuple[float, ...]] = []  # noqa: RUF012  # of the one controller of this process
+    rows: list[tuple[float, ...]] = []  # noqa: RUF012  # rows of the only controller of this process
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -57,7 +58,7 @@ class RecordedController(Controller):
 
 
 def main(output: Path, options: Sequence[str]) -> None:
-    command.Controller = RecordedController
+    command.make_controller = functools.partial(RecordedController, make_builtins=standard_builtins)
     try:
         command.app([*options])
     finally:

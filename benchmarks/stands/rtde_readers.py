@@ -1,4 +1,4 @@
-"""Readers of RTDE to be compared, each in a process of its own: prints packages read and CPU seconds spent as JSON."""
+"""Readers of RTDE to be compared, each in a process of its own; prints packages read and CPU seconds used as JSON."""
 
 import asyncio
 import importlib
@@ -24,7 +24,7 @@ VARIABLES = (
     *("safety_status_bits", "speed_scaling", "output_int_register_24", "output_int_register_25"),
     *("output_int_register_26", "output_int_register_27", "output_double_register_24"),
 )
-"""About what the driver of a UR arm reads; the first is the timestamp, from which packages are counted."""
+"""Approximately the variables that the driver of a UR arm reads; packages are counted by the timestamp, the first."""
 WARM_UP_S = 0.5
 
 
@@ -43,7 +43,7 @@ class Count:
 
 
 def struct_loop(host: str, port: int, seconds: float) -> str:
-    """The least that Python can do: a blocking socket and one `unpack_from` per package."""
+    """Read with a blocking socket and one `unpack_from` per package, the minimum in Python."""
     layout = struct.Struct(">HBB" + "".join(f"{OUTPUTS[name].count}{OUTPUTS[name].letter}" for name in VARIABLES))
     count = Count()
     with socket.create_connection((host, port)) as server:
@@ -97,17 +97,17 @@ async def _our_client(host: str, port: int, seconds: float) -> str:
 
 
 def on_asyncio(host: str, port: int, seconds: float) -> str:
-    """The driver's client on asyncio's own loop."""
+    """Read with the driver's client on asyncio's own loop."""
     return asyncio.run(_our_client(host, port, seconds))
 
 
 def on_uvloop(host: str, port: int, seconds: float) -> str:
-    """The driver's client on uvloop."""
+    """Read with the driver's client on uvloop."""
     return uvloop.run(_our_client(host, port, seconds))
 
 
 def ur_rtde(host: str, _port: int, seconds: float) -> str:
-    """`RTDEReceiveInterface` of ur_rtde, C++ with a thread of its own, at the standard port."""
+    """Read with `RTDEReceiveInterface` of ur_rtde, C++ with a thread of its own, at the standard port."""
     client = importlib.import_module("rtde_receive").RTDEReceiveInterface(host, 500.0, list(VARIABLES))
     time.sleep(WARM_UP_S)
     count = Count()

@@ -1,4 +1,4 @@
-"""An RTDE service that sends data at a rate, or as fast as they are taken: the far end of `benchmarks.cases.rtde`."""
+"""An RTDE service that sends data at a rate, or as fast as they are read; the far end of `benchmarks.cases.rtde`."""
 
 import contextlib
 import socket
@@ -14,12 +14,12 @@ from wire.rtde.fields import OUTPUTS
 from wire.rtde.messages import ControllerVersion, OutputsRequest, SetupReply, encode_accepted
 
 BLOCK = 4000
-"""Packages handed to the system at once when sending as fast as possible."""
+"""Packages passed to the system at once when sending as fast as possible."""
 FIRST_TIMESTAMP_S = 60.0
 
 
 def serve(host: str, port: int, rate_hz: float) -> None:
-    """Serve one client after another; a rate of 0 is as fast as the client reads."""
+    """Serve one client after another; a rate of 0 sends as fast as the client reads."""
     with socket.create_server((host, port)) as listening:
         print(READY, flush=True)
         while True:
@@ -30,7 +30,7 @@ def serve(host: str, port: int, rate_hz: float) -> None:
 
 
 def _agree(client: socket.socket) -> Recipe:
-    """Answer until the client wants its data; raises OSError where it leaves."""
+    """Answer until the client starts its data; raise OSError if it leaves."""
     reader = FrameReader()
     recipe: Recipe | None = None
     while data := client.recv(4096):

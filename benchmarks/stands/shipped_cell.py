@@ -1,4 +1,4 @@
-"""The configured cell, on ports and in a folder of its own, so that a measurement disturbs no cell that runs."""
+"""The configured cell, on ports and in a folder of its own, so that a measurement disturbs no running cell."""
 
 import os
 import tempfile
@@ -15,13 +15,13 @@ from service.config import CellConfig, ConfigError
 
 @dataclass(frozen=True, slots=True)
 class ShippedCell:
-    """What a measurement needs to run it.
+    """Configuration of a cell for a measurement.
 
     Attributes:
-        config: as the control process would read it.
-        environment: variables that make another process read the same.
-        recipe: its first one.
-        policy: that recipe's model.
+        config: configuration as the control process would read it.
+        environment: variables that make another process read the same configuration.
+        recipe: name of the first recipe.
+        policy: model of that recipe.
     """
 
     config: CellConfig
@@ -32,14 +32,14 @@ class ShippedCell:
 
 @contextmanager
 def shipped_cell(file: Path | None = None, **overrides: str) -> Generator[ShippedCell]:
-    """Read the configuration with ports and folder replaced.
+    """Read the configuration and replace ports and folder.
 
     Args:
-        file: instead of the one that the control process would read.
-        **overrides: more fields, `limits__sample_age_s="0.5"`.
+        file: file to read instead of the control process's own.
+        **overrides: more fields, such as `limits__sample_age_s="0.5"`.
 
     Raises:
-        UnavailableError: it cannot be read, or its policy is not there.
+        UnavailableError: the configuration cannot be read, or its policy is missing.
     """
     with tempfile.TemporaryDirectory() as folder:
         fields = {
@@ -66,5 +66,5 @@ def shipped_cell(file: Path | None = None, **overrides: str) -> Generator[Shippe
                     os.environ[name] = value
         recipe, section = next(iter(config.recipes.items()))
         if not section.policy.is_file():
-            raise UnavailableError(f"recipe {recipe} names {section.policy.name}, which is not there: train it first")
+            raise UnavailableError(f"recipe {recipe} names {section.policy.name}, which is missing: train it first")
         yield ShippedCell(config, os.environ | variables, recipe, section.policy)

@@ -1,4 +1,4 @@
-"""The bare transport of RTDE: sends back, on one TCP connection, what it gets.
+"""The bare transport of RTDE: returns what it receives on one TCP connection.
 
 `python -m benchmarks.stands.tcp_echo PORT`
 """

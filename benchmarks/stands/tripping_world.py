@@ -1,7 +1,7 @@
-"""A simulated cell in real time that, when asked, publishes one sample above the ceiling and times the stop it gets.
+"""A simulated cell in real time that on request publishes one sample above the ceiling and times the stop.
 
-`python -m benchmarks.stands.tripping_world ENDPOINT WORLD`. A query on `bench/trip` is answered, once the stop has
-arrived, with the seconds from that sample's publication to the stop's arrival; an engaged arm is needed.
+Run `python -m benchmarks.stands.tripping_world ENDPOINT WORLD`. A query on `bench/trip` needs an engaged arm. It is
+answered once the stop has arrived, with the seconds from that sample's publication to the stop's arrival.
 """
 
 import sys
@@ -23,7 +23,7 @@ FORCE_N = 100.0
 
 
 class TrippingCell(SimulatedCell):
-    """Lies once about the force, in the record alone: the world goes on as it is."""
+    """Falsifies the force once, only in the record; the world itself continues unchanged."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -31,7 +31,7 @@ class TrippingCell(SimulatedCell):
         self._published_s: float | None = None
 
     def trip(self, query: zenoh.Query) -> None:
-        """On Zenoh's thread: do it with the next sample."""
+        """Falsify the next sample; called on Zenoh's thread."""
         self._query, self._published_s = query, None
 
     def tick(self) -> RecordArray:
@@ -42,7 +42,7 @@ class TrippingCell(SimulatedCell):
         return record
 
     def on_command(self, sample: zenoh.Sample) -> None:
-        """On Zenoh's thread: answer the query with the first stop after the sample."""
+        """Answer the query at the first stop after the sample; called on Zenoh's thread."""
         arrived_s = time.perf_counter()
         command = wire.decode(sample.payload.to_bytes(), wire.COMMAND)
         if self._published_s is None or self._query is None or command["kind"][0] != wire.Kind.STOP:

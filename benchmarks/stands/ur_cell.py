@@ -10,19 +10,19 @@ from service.config import CellConfig
 from service.policy.model import Policy
 
 HOST = "127.0.0.31"
-"""Of the emulated controller, which has UR's own ports there: ur_rtde knows no others."""
+"""Address of the emulated controller, which uses UR's own ports: ur_rtde supports no others."""
 _CONFIG = ROOT / "config" / "ur-emulated.toml"
 
 
 @contextmanager
 def shipped_ur_cell(**overrides: str) -> Generator[ShippedCell]:
-    """Read the configuration of the emulated UR cell, with its controller at `HOST`; nothing starts by itself.
+    """Read the configuration of the emulated UR cell, with its controller at `HOST`; starts nothing.
 
     Args:
         **overrides: more fields, as for `shipped_cell`.
 
     Raises:
-        UnavailableError: it cannot be read, or its policy is not there.
+        UnavailableError: the configuration cannot be read, or its policy is missing.
     """
     world = f"tcp/127.0.0.1:{free_port()}"
     fields = {"ur__host": HOST, "sim__endpoint": world, "camera__endpoint": world, "sim__autostart": "false"}
@@ -31,12 +31,12 @@ def shipped_ur_cell(**overrides: str) -> Generator[ShippedCell]:
 
 
 def plan_first(config: CellConfig) -> Plan:
-    """What an insertion of the first recipe goes by: the law and the limits that the arm is engaged with."""
+    """Return the plan of an insertion of the first recipe: law and limits with which the arm is engaged."""
     recipe = next(iter(config.recipes.values()))
     return plan_insertion(config, recipe, Policy.load(recipe.policy).contract)
 
 
 def controller_options(shipped: ShippedCell) -> tuple[str, ...]:
-    """Options of `python -m sim_backend ur-controller` that make it this cell's arm and world."""
+    """Return options of `python -m sim_backend ur-controller` that give it this cell's arm and world."""
     sim = shipped.config.sim
     return "ur-controller", "--host", HOST, "--world", sim.world, "--listen", sim.endpoint

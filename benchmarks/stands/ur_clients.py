@@ -1,8 +1,8 @@
-"""Clients that keep an emulated controller busy until SIGTERM; one that cannot go on ends by itself.
+"""Clients that keep an emulated controller busy until SIGTERM; a client that cannot continue ends by itself.
 
-`python -m benchmarks.stands.ur_clients readers HOST COUNT` takes packages at 500 Hz on COUNT connections and looks at
-none; `… ur_rtde HOST` has ur_rtde's own program run there, idle; `… driver` keeps the cell's control program engaged,
-at the host that the configuration of the environment names.
+`python -m benchmarks.stands.ur_clients readers HOST COUNT` takes packages at 500 Hz on COUNT connections and ignores
+them. `… ur_rtde HOST` runs ur_rtde's own program there, idle. `… driver` keeps the cell's control program engaged at
+the host of the configuration in the environment.
 """
 
 import asyncio
@@ -27,11 +27,11 @@ from wire.rtde.messages import PORT, OutputsRequest, encode_version_request
 RATE_HZ = 500.0
 READ_BYTES = 1 << 16
 TARGET_S = 0.1
-"""Between two targets, as a policy gives them."""
+"""Time between two targets, as from a policy, s."""
 
 
 def readers(host: str, count: int) -> None:
-    """Take the driver's packages on each connection, and throw them away."""
+    """Take the driver's packages on each connection and discard them."""
     with selectors.DefaultSelector() as selector:
         for _ in range(count):
             selector.register(_started(host), selectors.EVENT_READ)
@@ -55,7 +55,7 @@ def _started(host: str) -> socket.socket:
 
 
 def ur_rtde(host: str) -> None:
-    """Have `RTDEControlInterface` send its program; its thread takes packages at 500 Hz."""
+    """Let `RTDEControlInterface` send its program; its thread takes packages at 500 Hz."""
     control = importlib.import_module("rtde_control").RTDEControlInterface(host, RATE_HZ)
     print(READY, flush=True)
     while control.isConnected():
@@ -64,7 +64,7 @@ def ur_rtde(host: str) -> None:
 
 
 class _Newest:
-    """Takes a driver's samples."""
+    """Sink that keeps a driver's newest sample."""
 
     def __init__(self) -> None:
         self.sample: Sample | None = None
@@ -77,7 +77,7 @@ class _Newest:
 
 
 async def driver() -> None:
-    """Engage the control program where the arm stands, and keep giving it the same target."""
+    """Engage the control program at the arm's present pose, and keep sending it that pose as the target."""
     config = load()
     plan = plan_first(config)
     newest = _Newest()

@@ -1,6 +1,6 @@
-"""Readers of one controller's packages at 500 Hz, each in a process of its own: prints what they saw and spent as JSON.
+"""Readers of one controller's packages at 500 Hz, each in a process of its own; prints packages and CPU time as JSON.
 
-`python -m benchmarks.stands.ur_readers READER HOST SECONDS`; the driver's configuration comes from the environment.
+Run `python -m benchmarks.stands.ur_readers READER HOST SECONDS`; the environment gives the driver's configuration.
 """
 
 import asyncio
@@ -29,7 +29,7 @@ _GETTERS = (
     *("getActualQ", "getActualQd", "getActualTCPPose", "getActualTCPSpeed", "getActualTCPForce", "getFtRawWrench"),
     *("getRobotMode", "getSafetyMode", "getRuntimeState", "getTargetSpeedFraction", "getPayload", "getPayloadCog"),
 )
-"""Of the variables in `OUTPUTS`, beside the timestamp, those that ur_rtde's getters give."""
+"""Getters of ur_rtde for the variables in `OUTPUTS`, except the timestamp."""
 
 
 class _Seen:
@@ -40,7 +40,7 @@ class _Seen:
         self.stamp = self._first = self._cpu_s = 0.0
 
     def take(self, stamp: float) -> None:
-        """Count a package that has not been counted."""
+        """Count a package unless it was already counted."""
         if stamp != self.stamp:
             self.stamp = stamp
             self.count += 1
@@ -54,7 +54,7 @@ class _Seen:
 
 
 async def _client(host: str, seconds: float) -> str:
-    """The client alone: each package decoded."""
+    """Run the client alone; each package is decoded."""
     seen = _Seen()
 
     def lose(error: RtdeError) -> None:
@@ -71,7 +71,7 @@ async def _client(host: str, seconds: float) -> str:
 
 
 async def _driver(seconds: float) -> str:
-    """The driver: each package made a sample, and every fifth answered with the sign of life."""
+    """Run the driver; each package becomes a sample, and every fifth is answered with the sign of life."""
     seen = _Seen()
 
     class Sink:
@@ -97,7 +97,7 @@ def _receive(host: str) -> Any:
 
 
 def ur_rtde(host: str, seconds: float) -> str:
-    """ur_rtde's thread alone; nobody asks for a value."""
+    """Run ur_rtde's thread alone; no values are requested."""
     client, seen = _receive(host), _Seen()
     time.sleep(WARM_UP_S)
     seen.take(client.getTimestamp())
@@ -108,7 +108,7 @@ def ur_rtde(host: str, seconds: float) -> str:
 
 
 def ur_rtde_asked(host: str, seconds: float) -> str:
-    """ur_rtde, asked every 2 ms for what the newest package holds: it calls nobody when one arrives."""
+    """Poll ur_rtde every 2 ms for the newest package's values; it has no callback for arrivals."""
     client, seen = _receive(host), _Seen()
     getters = [getattr(client, name) for name in _GETTERS]
     time.sleep(WARM_UP_S)
@@ -124,17 +124,17 @@ def ur_rtde_asked(host: str, seconds: float) -> str:
 
 
 def client_on_asyncio(host: str, seconds: float) -> str:
-    """The client on asyncio's own loop."""
+    """Run the client on asyncio's own loop."""
     return asyncio.run(_client(host, seconds))
 
 
 def client_on_uvloop(host: str, seconds: float) -> str:
-    """The client on uvloop."""
+    """Run the client on uvloop."""
     return uvloop.run(_client(host, seconds))
 
 
 def driver(_host: str, seconds: float) -> str:
-    """The driver on uvloop, as in the control process."""
+    """Run the driver on uvloop, as in the control process."""
     return uvloop.run(_driver(seconds))
 
 

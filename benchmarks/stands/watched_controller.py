@@ -1,8 +1,8 @@
-"""The emulated controller's command as it is, with one thing added: it notes how late its ticks are and how long.
+"""The emulated controller's command with one addition: it records the lateness and duration of its ticks.
 
-`python -m benchmarks.stands.watched_controller OUTPUT HOST [ordinary]`. `ordinary` leaves out the request for real-time
+Run `python -m benchmarks.stands.watched_controller OUTPUT HOST [ordinary]`. `ordinary` omits the request for real-time
 scheduling. At the end it writes one row per tick to OUTPUT (`.npy`), in s: monotonic time of its begin, lateness of its
-beat, duration. A program that ur_rtde has sent runs again, as a secondary one, beside a main one that comes after it.
+beat, duration. A program sent by ur_rtde runs again, as a secondary one, beside a later main program.
 """
 
 import sys

@@ -1,8 +1,7 @@
-"""The control process as it is, with one thing added: it notes how late its loop judges each sample.
+"""The control process with one addition: it records how late its loop judges each sample.
 
-`python -m benchmarks.stands.watched_service OUTPUT [ordinary]`; the configuration comes from the environment.
-`ordinary` leaves out the request for real-time scheduling. At the end it writes the latenesses, in s, to OUTPUT
-(`.npy`).
+Run `python -m benchmarks.stands.watched_service OUTPUT [ordinary]`; the environment gives the configuration. `ordinary`
+omits the request for real-time scheduling. At the end it writes the latenesses, in s, to OUTPUT (`.npy`).
 """
 
 import sys

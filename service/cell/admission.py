@@ -7,7 +7,7 @@ from service.cell import report
 from service.cell.states import StateMachine
 from service.config import CellConfig, LimitsSection
 from service.drivers.base import Program, Sample
-from service.messages import CellState, Latch, Problem, Reason, ResetRequest, StartRequest
+from service.messages import CellState, Latch, Problem, RefusalReason, ResetRequest, StartRequest
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Standing:
     force_ceiling_n: float
     resetting: bool
 
-    def problem(self, reason: Reason, detail: str, field: str | None = None) -> Problem:
+    def problem(self, reason: RefusalReason, detail: str, field: str | None = None) -> Problem:
         """A refusal in this standing."""
         code = None if self.latch is None else self.latch.code
         return Problem(reason=reason, detail=detail, code=code, state=self.states.state, field=field)
@@ -55,22 +55,22 @@ def why_not_start(
     """
     latch, states = standing.latch, standing.states
     if latch is not None:
-        return standing.problem(Reason.LATCHED, f"latched by {latch.code}: {latch.text}; reset it first")
+        return standing.problem(RefusalReason.LATCHED, f"latched by {latch.code}: {latch.text}; reset it first")
     if not states.allows(CellState.PREFLIGHT):
         why = standing.link_text or "wait until it is READY"
-        return standing.problem(Reason.WRONG_STATE, f"the cell is {states.state}: {why}")
+        return standing.problem(RefusalReason.WRONG_STATE, f"the cell is {states.state}: {why}")
     if standing.link_text is not None:
-        return standing.problem(Reason.NO_MEASUREMENT, f"the arm is not measured: {standing.link_text}")
+        return standing.problem(RefusalReason.NO_MEASUREMENT, f"the arm is not measured: {standing.link_text}")
     if standing.storage_text is not None:
         text = f"the state directory cannot be written: {standing.storage_text}"
-        return standing.problem(Reason.STORAGE, text)
+        return standing.problem(RefusalReason.STORAGE, text)
     if request is None:
         return None
     if request.recipe not in config.recipes:
         text = f"no recipe {request.recipe!r}; there are {', '.join(config.recipes)}"
-        return standing.problem(Reason.UNKNOWN_RECIPE, text, "recipe")
+        return standing.problem(RefusalReason.UNKNOWN_RECIPE, text, "recipe")
     if request.seed is not None and not simulated:
-        return standing.problem(Reason.INVALID_REQUEST, "a real arm has no seed: leave it out", "seed")
+        return standing.problem(RefusalReason.INVALID_REQUEST, "a real arm has no seed: leave it out", "seed")
     return None
 
 
@@ -78,27 +78,27 @@ def why_not_reset(standing: Standing, request: ResetRequest, limits: LimitsSecti
     """Say why a reset is refused; None where it is not."""
     latch, sample = standing.latch, standing.sample
     if latch is None:
-        return standing.problem(Reason.NOT_LATCHED, "nothing is latched; a reset cannot be given in advance")
+        return standing.problem(RefusalReason.NOT_LATCHED, "nothing is latched; a reset cannot be given in advance")
     if standing.states.state is not CellState.LATCHED or standing.resetting:
-        return standing.problem(Reason.WRONG_STATE, "the stop or another reset is not finished: try again")
+        return standing.problem(RefusalReason.WRONG_STATE, "the stop or another reset is not finished: try again")
     if request.acknowledge is not None and request.acknowledge is not latch.code:
-        return standing.problem(Reason.LATCHED, f"latched is {latch.code}: look at that one", "acknowledge")
+        return standing.problem(RefusalReason.LATCHED, f"latched is {latch.code}: look at that one", "acknowledge")
     if sample is None or standing.link_text is not None or standing.sample_age_s >= limits.sample_age_s:
         why = standing.link_text or f"the newest sample is {standing.sample_age_s:.3g} s old"
-        return standing.problem(Reason.NO_MEASUREMENT, f"the arm is not measured: {why}; restore the link first")
+        return standing.problem(RefusalReason.NO_MEASUREMENT, f"the arm is not measured: {why}; restore the link first")
     if sample.program is Program.PROTECTIVE_STOP:
         text = "the arm is in its protective stop; its release was asked for: try again in some seconds"
-        return standing.problem(Reason.WRONG_STATE, text)
+        return standing.problem(RefusalReason.WRONG_STATE, text)
     if sample.program is not Program.IDLE:
         text = f"the arm's program is {sample.program.name}: it is being stopped; try again when it rests"
-        return standing.problem(Reason.WRONG_STATE, text)
+        return standing.problem(RefusalReason.WRONG_STATE, text)
     if report.measured(sample, 0.0).moving:
-        return standing.problem(Reason.WRONG_STATE, "the arm is moving")
+        return standing.problem(RefusalReason.WRONG_STATE, "the arm is moving")
     if standing.force_n >= standing.force_ceiling_n or sample.saturated:
         text = f"{standing.force_n:.1f} N are measured, the ceiling is {standing.force_ceiling_n:g} N: relieve the tool"
-        return standing.problem(Reason.FORCE_ABOVE_LIMIT, text)
+        return standing.problem(RefusalReason.FORCE_ABOVE_LIMIT, text)
     torque_nm = math.hypot(*sample.wrench[3:])
     if torque_nm >= limits.torque_ceiling_nm:
         text = f"{torque_nm:.2f} N·m are measured, the ceiling is {limits.torque_ceiling_nm:g} N·m: relieve the tool"
-        return standing.problem(Reason.FORCE_ABOVE_LIMIT, text)
+        return standing.problem(RefusalReason.FORCE_ABOVE_LIMIT, text)
     return None

@@ -30,7 +30,7 @@ from service.messages import (
     CellState,
     EventKind,
     Problem,
-    Reason,
+    RefusalReason,
     Refused,
     ResetRequest,
     Run,
@@ -282,7 +282,7 @@ class Cell:
         if (problem := why_not_start(self._standing(), request, self.config, self.driver.simulated)) is not None:
             return Refused(problem=problem)
         if self._has_expired(request):
-            return self._refuse(Reason.EXPIRED, "the start came too late to be carried out: ask again")
+            return self._refuse(RefusalReason.EXPIRED, "the start came too late to be carried out: ask again")
         self.hear_client()
         self.enter(CellState.PREFLIGHT)
         active = self.runs.begin(request, self.driver, self)
@@ -290,9 +290,9 @@ class Cell:
         try:
             policy = await asyncio.to_thread(self._policies.admit, request.recipe)
         except PolicyRefusedError as error:
-            return self._take_back(active, Reason.POLICY_REFUSED, str(error))
+            return self._take_back(active, RefusalReason.POLICY_REFUSED, str(error))
         if self._has_expired(request):
-            return self._take_back(active, Reason.EXPIRED, "loading the policy took too long: ask again")
+            return self._take_back(active, RefusalReason.EXPIRED, "loading the policy took too long: ask again")
         if not active.abandoned:
             active.accepted = active.accepted.model_copy(update={"policy_sha256": policy.sha256})
             recorded = self.journal.record(active.accepted)
@@ -301,7 +301,7 @@ class Cell:
                     raise OSError(self.journal.fault)
                 await asyncio.wrap_future(recorded)
             except OSError as error:
-                return self._take_back(active, Reason.STORAGE, f"the run cannot be recorded: {error}")
+                return self._take_back(active, RefusalReason.STORAGE, f"the run cannot be recorded: {error}")
         if active.abandoned:
             return RunResult(run=self.runs.find(active.accepted.id) or active.accepted, created=True)
         self.journal.tell(EventKind.RUN, self.state, f"accepted, {request.recipe}", run_id=active.accepted.id)
@@ -320,19 +320,19 @@ class Cell:
     async def reset(self, request: ResetRequest) -> StatusResult | Refused:
         """Acknowledge the latched fault; moves nothing."""
         if (problem := why_not_reset(self._standing(), request, self.config.limits)) is not None:
-            if problem.reason is Reason.WRONG_STATE and self._intake.in_protective_stop:
+            if problem.reason is RefusalReason.WRONG_STATE and self._intake.in_protective_stop:
                 self.driver.unlock()
             return Refused(problem=problem)
         self._resetting = True
         try:
             await asyncio.wrap_future(self.journal.clear_latch_on_disk())
         except OSError as error:
-            return self._refuse(Reason.STORAGE, f"the latch could not be cleared on the disk: {error}")
+            return self._refuse(RefusalReason.STORAGE, f"the latch could not be cleared on the disk: {error}")
         finally:
             self._resetting = False
         latch = self.journal.latch
         if latch is None:
-            return self._refuse(Reason.NOT_LATCHED, "nothing is latched")
+            return self._refuse(RefusalReason.NOT_LATCHED, "nothing is latched")
         if (problem := why_not_reset(self._standing(), request, self.config.limits)) is not None:
             self.journal.set_latch(latch.code, latch.text, latch.run_id, latch.peak_force_n)
             return Refused(problem=problem)
@@ -459,13 +459,13 @@ class Cell:
     def _storage_trouble(self) -> tuple[str, ...]:
         return () if self.journal.fault is None else (f"the state directory: {self.journal.fault}",)
 
-    def _refuse(self, reason: Reason, detail: str) -> Refused:
+    def _refuse(self, reason: RefusalReason, detail: str) -> Refused:
         return Refused(problem=Problem(reason=reason, detail=detail, state=self.state))
 
     def _has_expired(self, request: StartRequest) -> bool:
         return request.valid_until is not None and self.journal.time_of_day() > request.valid_until
 
-    def _take_back(self, active: ActiveRun, reason: Reason, detail: str) -> RunResult | Refused:
+    def _take_back(self, active: ActiveRun, reason: RefusalReason, detail: str) -> RunResult | Refused:
         """Refuse after all, unless a stop came first: then there is a run, and it was stopped."""
         if active.abandoned:
             return RunResult(run=self.runs.find(active.accepted.id) or active.accepted, created=True)

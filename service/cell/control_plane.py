@@ -19,7 +19,7 @@ from service.messages import (
     Event,
     Message,
     Problem,
-    Reason,
+    RefusalReason,
     Refused,
     ResetRequest,
     RunRequest,
@@ -119,20 +119,20 @@ class ControlPlane:
     async def _run(self, request: RunRequest) -> Message:
         run = self._cell.runs.find(request.run_id)
         if run is None:
-            return self._refused(Reason.UNKNOWN_RUN, f"no run {request.run_id!r}", "run_id")
+            return self._refused(RefusalReason.UNKNOWN_RUN, f"no run {request.run_id!r}", "run_id")
         return RunResult(run=run, created=False)
 
     def _answering(self, model: type[RequestT], answer: Callable[[RequestT], Awaitable[Message]]) -> Handler:
         def handle(query: zenoh.Query, payload: bytes) -> None:
             if len(self._tasks) >= MAX_OPEN_QUERIES:
-                self._reply(query, self._refused(Reason.INTERNAL, "too many requests are waiting: try again"))
+                self._reply(query, self._refused(RefusalReason.INTERNAL, "too many requests are waiting: try again"))
                 return
             try:
                 request = model.model_validate_json(payload or b"{}")
             except ValidationError as error:
                 first = error.errors()[0]
                 field = ".".join(str(part) for part in first["loc"])
-                self._reply(query, self._refused(Reason.INVALID_REQUEST, f"{field}: {first['msg']}", field))
+                self._reply(query, self._refused(RefusalReason.INVALID_REQUEST, f"{field}: {first['msg']}", field))
                 return
             task = self._loop.create_task(self._carry_out(query, answer(request)))
             self._tasks.add(task)
@@ -145,7 +145,7 @@ class ControlPlane:
             message = await answer
         except Exception as error:
             _log.exception("request", key=str(query.key_expr))
-            message = self._refused(Reason.INTERNAL, f"{type(error).__name__}: {error}")
+            message = self._refused(RefusalReason.INTERNAL, f"{type(error).__name__}: {error}")
         self._reply(query, message)
 
     # --- the wire
@@ -178,5 +178,5 @@ class ControlPlane:
             except zenoh.ZError as error:
                 _log.warning("reply", key=str(query.key_expr), error=str(error))
 
-    def _refused(self, reason: Reason, detail: str, field: str | None = None) -> Refused:
+    def _refused(self, reason: RefusalReason, detail: str, field: str | None = None) -> Refused:
         return Refused(problem=Problem(reason=reason, detail=detail, state=self._cell.state, field=field))

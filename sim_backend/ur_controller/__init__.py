@@ -1,1 +1,1 @@
-"""An emulated Universal Robots e-Series controller whose arm is the simulated cell's."""
+"""An emulated Universal Robots e-Series controller that drives the simulated cell's arm."""

@@ -1,7 +1,7 @@
-"""The emulated controller: one tick of 2 ms after another, of programs, safety, motion and arm.
+"""The emulated controller: programs, safety, motion and arm, in ticks of 2 ms.
 
-It runs on one thread and never waits: whoever owns it calls `tick`, and everything else in between. What the network
-sees of it is made by the services of `server`.
+It runs on one thread and never waits. Its owner calls `tick`, and all other methods between ticks. The services of
+`server` present it to the network.
 """
 
 import math
@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from sim_backend.ur_controller.builtins import standard_table
-from sim_backend.ur_controller.builtins.sockets import Sockets
 from sim_backend.ur_controller.events import (
     CompileFailed,
     Event,
@@ -25,66 +23,70 @@ from sim_backend.ur_controller.geometry import cross
 from sim_backend.ur_controller.inputs import Inputs, Registers
 from sim_backend.ur_controller.interpreter import Interpreter
 from sim_backend.ur_controller.motion import Motion
-from sim_backend.ur_controller.outputs import TEMPERATURE_C, Outputs
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.safety import UNLOCK_TOO_EARLY, Durations, Safety
 from sim_backend.ur_controller.script import Builtin, CompileError, Execution, compile_source
+from sim_backend.ur_controller.sockets import Sockets
 from sim_backend.ur_controller.terminals import Terminals
 from sim_backend.world.arm import PROTECTIVE_ERROR_RAD, PROTECTIVE_FORCE_N
 from wire.records import TICK_S
 from wire.rtde.modes import RobotMode, RuntimeState, SafetyMode
 
 START_TICK = 30_000
-"""Ticks that the controller says to have run when it is made: clients wait for a timestamp of 40 s."""
+"""Ticks at the controller's creation; the number is positive because clients wait for a timestamp of 40 s."""
 
 EXTERNAL_SENSOR_HZ = 10.0
 
 _TICKS_PER_S = round(1.0 / TICK_S)
-_MOVING_MODES = (SafetyMode.NORMAL, SafetyMode.REDUCED, SafetyMode.SAFEGUARD_STOP)  # in the last to come to rest
+_MOVING_MODES = (SafetyMode.NORMAL, SafetyMode.REDUCED, SafetyMode.SAFEGUARD_STOP)  # SAFEGUARD_STOP moves until at rest
 
 
 class Controller:
     """One e-Series controller with its arm.
 
-    Commands return at once, and raise `Refused` with the text that the real controller gives. What takes time goes on
-    in the ticks that follow.
+    Commands return at once and raise `Refused` with the real controller's text. Work that takes time continues in the
+    following ticks.
 
     Args:
-        plant: the arm, its tool and what they touch.
-        table: builtins of scripts; those of `builtins.standard_table` unless given.
-        durations: of powering on and the like.
+        plant: arm, its tool and the objects they touch.
+        make_builtins: returns the script builtins bound to this controller; called last in the constructor.
+        durations: durations of powering on and similar steps.
 
     Attributes:
         plant: as given.
-        motion: where the arm is told to be.
+        motion: commanded motion of the arm.
         safety: power and reasons to stand still.
-        inputs: what RTDE clients have written.
-        output_registers: what programs have written for them.
+        inputs: inputs written by RTDE clients.
+        output_registers: registers that programs write for RTDE clients.
         terminals: digital and analog inputs and outputs.
-        sockets: those that programs have opened.
-        time_s: of the last tick, exactly on the grid of 2 ms.
-        interpreter: of the programs that run.
-        programs: text of the programs that can be loaded, by file name.
-        loaded_program: file name of the one that `play` runs, or None.
-        remote_control: the robot is in remote control, not in local.
-        remote_control_enabled: the function is switched on in the settings.
-        speed_slider: 0 … 1.
-        temperature_c: of everything that has one.
-        popup: the message of a program on the screen, or None.
-        gravity: (3,) acceleration that programs have configured, m/s²; reported, and without effect.
-        versions: major, minor, bugfix, build of the software that it says to be.
-        serial: number, as text.
-        robot_type: UR's number of the UR3.
-        events: hear of everything that happens, in order.
+        sockets: connections that programs have opened.
+        time_s: time of the last tick, s, exactly on the grid of 2 ms.
+        interpreter: interpreter of the running programs.
+        programs: text of each loadable program by file name.
+        loaded_program: file name of the program that `play` runs, or None.
+        remote_control: True in remote control, False in local control.
+        remote_control_enabled: remote control is enabled in the settings.
+        speed_slider: fraction of the programs' speed, 0 … 1.
+        temperature_c: temperature of every component that reports one.
+        popup: a program's message on the screen, or None.
+        gravity: (3,) acceleration configured by programs, m/s²; reported, but without effect.
+        versions: reported software version: major, minor, bugfix, build.
+        serial: reported serial number.
+        robot_type: UR's type number of the UR3.
+        events: listeners to all events, in order.
     """
 
     versions = (5, 21, 3, 1282)
     serial = "20235300042"
     robot_type = 3
-    temperature_c = TEMPERATURE_C
+    temperature_c = 30.0
 
     def __init__(
-        self, plant: Plant, *, table: Mapping[str, Builtin] | None = None, durations: Durations | None = None
+        self,
+        plant: Plant,
+        make_builtins: "Callable[[Controller], Mapping[str, Builtin]]",
+        *,
+        durations: Durations | None = None,
     ) -> None:
         self.plant = plant
         self.motion = Motion(plant)
@@ -107,8 +109,7 @@ class Controller:
         self._enabled = True
         self._external_lever: Sequence[float] | None = None
         self._last_target = self.motion.q_target
-        self._table = standard_table(self) if table is None else table
-        self._outputs = Outputs(self)
+        self._builtins = make_builtins(self)
         plant.on_placed.append(self._placed)
 
     def tick(self) -> None:
@@ -132,7 +133,7 @@ class Controller:
 
     @property
     def takes_commands(self) -> bool:
-        """Whether the network may command: in remote control, or where that function is switched off."""
+        """Network clients may command: the robot is in remote control, or remote control is disabled."""
         return self.remote_control or not self.remote_control_enabled
 
     @property
@@ -149,12 +150,12 @@ class Controller:
 
     @property
     def execution(self) -> Execution | None:
-        """The program that runs now: while a builtin is called, the one that calls it."""
+        """The running program; during the call of a builtin, the program that calls it."""
         return self.interpreter.execution
 
     @property
     def program_name(self) -> str:
-        """Of the main program, or of the last one."""
+        """Name of the main program, or of the last one."""
         return self.interpreter.name
 
     @property
@@ -173,40 +174,32 @@ class Controller:
         """Number of the next tick."""
         return self._tick
 
-    def output_getter(self, name: str) -> Callable[[], Any]:
-        """What reads one RTDE output after each tick: a number, or a list of the field's length.
-
-        Raises:
-            KeyError: the controller gives no such output.
-        """
-        return self._outputs.getters[name]
-
     def apply_inputs(self, names: Sequence[str], values: Sequence[Any]) -> None:
-        """Take one RTDE package of inputs; it takes effect with the latency of the episode.
+        """Store one RTDE package of inputs; it takes effect after the latency of the episode.
 
         Args:
-            names: of RTDE inputs.
-            values: as many, of the fields' types; any bits, NaN included.
+            names: names of RTDE inputs.
+            values: one value per name, of the field's type; any bits, NaN included.
         """
         self.inputs.receive(names, values, self._tick + self.plant.input_delay)
 
     def set_speed_slider(self, fraction: float) -> None:
-        """Set the speed of programs, 0 … 1; what lies outside counts as the nearer end, NaN as nothing."""
+        """Set the speed of programs, 0 … 1; values outside are clamped, NaN is ignored."""
         if fraction == fraction:
             self.speed_slider = min(max(fraction, 0.0), 1.0)
 
     def emit(self, event: Event) -> None:
-        """Tell every listener."""
+        """Pass an event to every listener."""
         for listener in self.events:
             listener(event)
 
     def use_external_sensor(self, lever: Sequence[float] | None) -> None:
-        """Take forces from `external_force_torque` of RTDE instead of the built-in sensor, or from that one again.
+        """Take forces from `external_force_torque` of RTDE, or from the built-in sensor again.
 
-        Where no watchdog is set, one watches over that input, at 10 Hz, as on the real controller.
+        Without another watchdog, one of 10 Hz watches over that input, as on the real controller.
 
         Args:
-            lever: (3,) where the external sensor measures, in the flange's frame, m; None for the built-in one.
+            lever: (3,) position of the external sensor in the flange's frame, m; None selects the built-in sensor.
         """
         self._external_lever = lever
         if lever is None:
@@ -215,95 +208,95 @@ class Controller:
             self.inputs.watch("external_force_torque", EXTERNAL_SENSOR_HZ, "pause")
 
     def close(self) -> None:
-        """End the programs and close what they have opened."""
+        """End the programs and close their connections."""
         self.interpreter.stop_all()
         self.sockets.close_all()
 
     # --- power and safety ---
 
     def power_on(self) -> None:
-        """Power the joints; ends in IDLE after a while. Without effect where they have power, or must not."""
+        """Power the joints, which ends in IDLE after a while. No effect if they have power or must not get it."""
         self.safety.power_on()
 
     def power_off(self) -> None:
-        """Take the power from the joints."""
+        """Remove power from the joints."""
         self.safety.power_off()
         self._halt()
 
     def brake_release(self) -> None:
-        """Release the brakes, powering on before where needed; ends in RUNNING after a while."""
+        """Release the brakes, which ends in RUNNING after a while; power on first if needed."""
         self.safety.brake_release()
 
     def unlock_protective_stop(self, *, at_once: bool = False) -> None:
         """Leave the protective stop.
 
         Args:
-            at_once: as the script ports do it; the dashboard and the pendant wait for 5 s.
+            at_once: do not wait; the script ports unlock this way, the dashboard and the pendant wait for 5 s.
 
         Raises:
-            Refused: earlier than 5 s after it.
+            Refused: the stop is younger than 5 s.
         """
         if not self.safety.unlock_protective_stop(at_once=at_once):
             raise Refused(UNLOCK_TOO_EARLY)
 
     def close_safety_popup(self) -> None:
-        """Close the message about the last stop; nothing waits for it here."""
+        """Close the message about the last stop; the emulation waits for no such message."""
 
     def restart_safety(self) -> None:
-        """Restart the safety system, out of a violation or a fault as well; ends powered off."""
+        """Restart the safety system and power off; this also leaves a violation or a fault."""
         self.safety.restart()
         self._halt()
 
     def press_emergency_stop(self, *, system: bool = False) -> None:
-        """Press the robot's emergency stop, or the system's."""
+        """Press the emergency stop of the robot, or of the system."""
         self.safety.press_emergency_stop(system=system)
         self._halt()
 
     def release_emergency_stop(self) -> None:
-        """Release it; the robot stays without power until it is powered on."""
+        """Release the emergency stop; the robot stays without power until it is powered on."""
         self.safety.release_emergency_stop()
 
     def open_safeguard(self) -> None:
-        """Open the safeguard: the program pauses."""
+        """Open the safeguard, which pauses the program."""
         self.safety.open_safeguard()
         if self.interpreter.runs:
             self._paused_by_safeguard = True
             self.interpreter.pause()
 
     def close_safeguard(self) -> None:
-        """Close the safeguard: a program that it has paused goes on."""
+        """Close the safeguard; a program that it paused resumes."""
         self.safety.close_safeguard()
         if self._paused_by_safeguard and self.safety.may_move:
             self.interpreter.resume()
         self._paused_by_safeguard = False
 
     def protective_stop(self, reason: str) -> None:
-        """Stop at once and end the program; programs may call it too."""
+        """Stop at once and end the program; a program may call this too."""
         self.safety.protective_stop(reason)
         self._halt()
 
     def violate(self, reason: str) -> None:
-        """Trip a safety limit: stop, without power, until safety is restarted."""
+        """Trip a safety limit: stop and cut the power until safety is restarted."""
         self.safety.violate(reason)
         self._halt()
 
     def fault(self, reason: str) -> None:
-        """Fail: stop, without power, until safety is restarted."""
+        """Report a fault: stop and cut the power until safety is restarted."""
         self.safety.fault(reason)
         self._halt()
 
     # --- programs ---
 
     def run_script(self, text: str) -> None:
-        """Compile a script and run it: a program in place of the one that runs, a secondary one beside it.
+        """Compile a script and run it; a program replaces the running one, a secondary program runs beside it.
 
-        What is wrong with the text is an event (`CompileFailed`), not an exception; the running program goes on then.
+        An error in the text is an event (`CompileFailed`), not an exception; the running program then continues.
 
         Raises:
-            Refused: a program, and the robot is not running; too many secondary programs.
+            Refused: the script is a program and the robot is not running, or too many secondary programs run.
         """
         try:
-            compiled = compile_source(text, self._table)
+            compiled = compile_source(text, self._builtins)
         except CompileError as error:
             self.emit(CompileFailed(error.line, error.column, error.text))
             return
@@ -318,10 +311,10 @@ class Controller:
         self.interpreter.start(compiled)
 
     def load(self, name: str) -> None:
-        """Choose the program that `play` runs.
+        """Select the program that `play` runs.
 
         Raises:
-            Refused: there is none of that name, or one runs.
+            Refused: there is no such program, or a program is running.
         """
         if name not in self.programs:
             raise Refused(f"File not found: {name}")
@@ -330,10 +323,10 @@ class Controller:
         self.loaded_program = name
 
     def play(self) -> None:
-        """Run the loaded program, or go on with a paused one.
+        """Run the loaded program, or resume a paused one.
 
         Raises:
-            Refused: neither, or the robot is not running.
+            Refused: there is neither, or the robot is not running.
         """
         if not self.safety.may_move:
             raise Refused("Failed to execute: play")
@@ -345,7 +338,7 @@ class Controller:
             raise Refused("Failed to execute: play")
 
     def pause(self) -> None:
-        """Let the program and its motion come to rest; `play` goes on.
+        """Bring the program and its motion to rest; `play` resumes.
 
         Raises:
             Refused: no program runs.
@@ -355,7 +348,7 @@ class Controller:
         self.interpreter.pause()
 
     def stop_program(self) -> None:
-        """End the program; the arm decelerates. Nothing without a program."""
+        """End the program; the arm decelerates. No effect without a program."""
         self.interpreter.stop()
 
     def show(self, popup: Popup) -> None:
@@ -364,7 +357,7 @@ class Controller:
         self.emit(popup)
 
     def close_popup(self) -> None:
-        """Close the message on the screen; a program that waits for it goes on."""
+        """Close the message on the screen; a program that waits for it continues."""
         self.popup = None
 
     def _watch(self) -> None:
@@ -381,7 +374,7 @@ class Controller:
     # --- the arm ---
 
     def _move(self) -> None:
-        """Make the next joint target; what was on its way before a stop does not go on after it."""
+        """Compute the next joint target; motion from before a stop does not resume after it."""
         if self.safety.robot_mode is RobotMode.RUNNING and self.safety.safety_mode in _MOVING_MODES:
             if not self._enabled:
                 self.motion.freeze()
@@ -392,7 +385,7 @@ class Controller:
             self._enabled = False
 
     def _protect(self) -> None:
-        """The arm's own protection, and what a motion that cannot go on leads to."""
+        """Apply the arm's own protection, and stop for a motion that cannot continue."""
         motion, plant = self.motion, self.plant
         if self.safety.robot_mode is not RobotMode.RUNNING:
             return
@@ -410,13 +403,13 @@ class Controller:
                 self.protective_stop(f"joint {int(deviation.argmax()) + 1} deviates from its path")
 
     def _feed_external_sensor(self) -> None:
-        """Carry the external sensor's wrench to the flange."""
+        """Transform the external sensor's wrench to the flange."""
         force, moment = self.inputs.external_wrench[:3], self.inputs.external_wrench[3:]
         turned = cross(self._external_lever or (0.0, 0.0, 0.0), force)
         self.plant.external_wrench = (*force, *(a + b for a, b in zip(moment, turned, strict=True)))
 
     def _halt(self) -> None:
-        """Stop at once; the programs end, after its present step the one that has asked for it itself."""
+        """Stop at once and end the programs; a program that asked for the stop itself ends after its present step."""
         self.motion.freeze()
         self.interpreter.stop_all()
         self._last_target = self.motion.q_target

@@ -1,7 +1,7 @@
-"""Dashboard server, TCP 29999: lines of text by which a host plays programs, powers the arm and asks its modes.
+"""Dashboard server, TCP 29999: lines of text by which a host plays programs, powers the arm and queries its modes.
 
-Commands, replies and which of them need remote control are those of the vendor's dashboard document for e-Series, as
-checked by the vendor's own clients; the refusal outside remote control is as quoted from robots in the field.
+Commands, replies and the set that needs remote control follow the vendor's dashboard document for e-Series and were
+checked with the vendor's own clients. The refusal outside remote control is quoted from robots in the field.
 """
 
 import math
@@ -18,18 +18,18 @@ NOT_REMOTE = (
     "Command is not allowed due to safety reasons, "
     "please switch robot to Remote Control mode and reconnect to port 29999"
 )
-UNNAMED = "<unnamed>"  # a program that was never saved: none loaded, or sent to a script port
+UNNAMED = "<unnamed>"  # a program that was never saved: none is loaded, or it was sent to a script port
 PROGRAM_FOLDER = "/programs/"
 INSTALLATIONS = ("default.installation",)
 BUILD_DATE = "Mar 12 2025"
 
 HEARS_OF_AN_END_AFTER_S = 0.2
-"""So long `stop` still takes a program that has just ended for a running one: PolyScope hears of it by the 10 Hz state
-messages, and clients that end their own program send `stop` right behind."""
+"""Time for which `stop` still treats a just ended program as running: PolyScope learns of the end from the 10 Hz state
+messages, and clients that end their own program send `stop` immediately afterwards."""
 LOG_LINES, LOG_CHARACTERS = 1000, 500
-"""Of the log: lines, and characters of a line."""
-_LINES_PER_TICK = 16  # of one connection: the tick keeps its time
-_WAITING_BYTES = 1 << 16  # a peer with more on its mind is no dashboard client
+"""Limits of the log: lines, and characters of a line."""
+_LINES_PER_TICK = 16  # per connection, so that the tick stays in time
+_WAITING_BYTES = 1 << 16  # a peer that sends more without a line end is not a dashboard client
 
 _MODEL_NAMES = {1: "UR5", 2: "UR10", 3: "UR3", 4: "UR16", 7: "UR20", 8: "UR30"}
 _STATE_WORDS = {RuntimeState.STOPPED: "STOPPED", RuntimeState.PAUSED: "PAUSED"}
@@ -41,9 +41,9 @@ class DashboardService:
     """Answers each line with one line.
 
     Attributes:
-        popup: text of the message on the screen; None when there is none.
-        log: newest lines of the log, as `addToLog` wrote them.
-        operational_mode: as set from here; None while the dashboard does not control it.
+        popup: text of the message on the screen; None without one.
+        log: newest lines of the log, written by `addToLog`.
+        operational_mode: mode set by the dashboard; None while the dashboard does not control it.
         shutdown_requested: a client has asked the controller to shut down.
     """
 
@@ -96,28 +96,28 @@ class DashboardService:
             "generate flight report": self._flight_report,
             "generate support file": self._support_file,
         }
-        # Longest first: `load` also begins `load installation`.
+        # Longest first: `load` is also the beginning of `load installation`.
         self._names = sorted((*self._remote_only, *self._always), key=len, reverse=True)
 
     def on_connect(self, connection: Connection) -> None:
-        """Greet."""
+        """Send the greeting."""
         self._lines[connection] = bytearray()
         self._was_remote[connection] = self._controller.takes_commands
         _reply(connection, BANNER)
 
     def on_data(self, connection: Connection, data: bytes) -> None:
-        """Answer complete lines; the rest waits for its end."""
+        """Answer complete lines; keep an incomplete one until its end arrives."""
         self._lines[connection] += data
         self._answer_lines(connection)
         if len(self._lines[connection]) > _WAITING_BYTES:
             connection.close()
 
     def on_close(self, connection: Connection) -> None:
-        """Forget the peer."""
+        """Discard the state of the peer."""
         del self._lines[connection], self._was_remote[connection]
 
     def publish(self) -> None:
-        """Answer what was too much for the ticks before; nothing is sent unasked."""
+        """Answer lines left over from earlier ticks; nothing is sent unasked."""
         for connection, waiting in self._lines.items():
             if waiting:
                 self._answer_lines(connection)
@@ -140,11 +140,11 @@ class DashboardService:
 
         Args:
             command: the line without its end; names are not case-sensitive.
-            may_command: the peer may do what needs remote control. A connection opened in local control may not, even
-                after the switch was turned: it has to connect again.
+            may_command: the peer may use commands that need remote control. A connection opened in local control may
+                not, even after the switch is turned: it must connect again.
 
         Returns:
-            The line that answers it.
+            The reply, one line.
         """
         folded = command.lower()
         for name in self._names:
@@ -241,7 +241,7 @@ class DashboardService:
         return f"Completed successfully: {self._report(f'ur_{self._controller.serial}')}.zip"
 
     def _report(self, prefix: str) -> str:
-        """Name of a report that a robot would write to its disk; here there is none."""
+        """Return the name of a report that a real robot would write to its disk; nothing is written here."""
         return f"{prefix}_{self._controller.time_s:.3f}"
 
     # --- modes ------------------------------------------------------------------------------------------------------

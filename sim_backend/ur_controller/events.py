@@ -1,4 +1,4 @@
-"""What a controller reports to whoever listens, and how it says no."""
+"""Events that a controller reports to its listeners, and its refusal of a command."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,26 +8,26 @@ from wire.rtde.modes import SafetyMode
 
 
 class Refused(Exception):  # noqa: N818 (the command is at fault, not the controller)
-    """A command that the controller does not carry out; the text is the one that the real controller gives."""
+    """A command that the controller does not carry out; the text is the real controller's."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProgramStarted:
-    """A program runs; `name` is that of its `def`."""
+    """A program has started; `name` is that of its `def`."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
 class ProgramStopped:
-    """A program has ended, by itself or not."""
+    """A program has ended, by itself or by a stop."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
 class CompileFailed:
-    """A script that was sent does not run; `line` and `column` count from 1, 0 where the error has no place."""
+    """A received script does not compile; `line` and `column` count from 1, 0 if the error has no place."""
 
     line: int
     column: int
@@ -36,7 +36,7 @@ class CompileFailed:
 
 @dataclass(frozen=True, slots=True)
 class RuntimeFailed:
-    """A program could not go on and was stopped; place as in `CompileFailed`, `thread` is that thread's name."""
+    """A program failed and was stopped; place as in `CompileFailed`, `thread` is the name of the failed thread."""
 
     line: int
     column: int
@@ -46,14 +46,14 @@ class RuntimeFailed:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A line for the log, as `textmsg` writes it."""
+    """A line for the log, written by `textmsg`."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class SafetyChanged:
-    """The safety mode has changed, and why."""
+    """The safety mode has changed for the given reason."""
 
     mode: SafetyMode
     reason: str

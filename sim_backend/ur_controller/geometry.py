@@ -1,8 +1,8 @@
 """Poses and the UR3e's forward kinematics for one arm, in plain floats.
 
-The same arithmetic as `protocol.pose` and `kinematics`, which serve batches: on a single arm, several times per 2 ms
-tick, numpy's cost per call would be most of the tick. Poses are `[x, y, z, rx, ry, rz]` (m, rotation vector rad), a
-rotation is its matrix as nine floats, row by row.
+The arithmetic is that of `wire.pose` and `kinematics`, which serve batches. This module serves a single arm several
+times per 2 ms tick, where numpy's cost per call would take most of the tick. Poses are `[x, y, z, rx, ry, rz]` (m,
+rotation vector rad); a rotation is its matrix as nine floats, row by row.
 """
 
 import math
@@ -21,7 +21,7 @@ _A2, _A3 = UR3E[1].a_m, UR3E[2].a_m
 
 
 def rotation_of(rx: float, ry: float, rz: float) -> Rotation:
-    """Rotation matrix of a rotation vector, rad."""
+    """Return the rotation matrix of a rotation vector, rad."""
     squared = rx * rx + ry * ry + rz * rz
     if squared < 1e-16:
         return (1.0, -rz, ry, rz, 1.0, -rx, -ry, rx, 1.0)
@@ -44,9 +44,10 @@ def rotation_of(rx: float, ry: float, rz: float) -> Rotation:
 
 
 def rotvec_of(rotation: Rotation) -> Vector:
-    """Rotation vector, length 0 … π rad; through the quaternion's best-conditioned component, accurate at every angle.
+    """Return the rotation vector, length 0 … π rad, through the quaternion's best-conditioned component.
 
-    At exactly π both signs of the axis describe the rotation; the one returned depends on rounding.
+    It is accurate at every angle. At exactly π both signs of the axis describe the rotation; the sign returned depends
+    on rounding.
     """
     xx, xy, xz, yx, yy, yz, zx, zy, zz = rotation
     trace = xx + yy + zz
@@ -68,7 +69,7 @@ def rotvec_of(rotation: Rotation) -> Vector:
 
 
 def multiply(a: Rotation, b: Rotation) -> Rotation:
-    """The rotation `b` followed by `a`."""
+    """Return the rotation `b` followed by `a`."""
     a0, a1, a2, a3, a4, a5, a6, a7, a8 = a
     b0, b1, b2, b3, b4, b5, b6, b7, b8 = b
     return (
@@ -85,27 +86,27 @@ def multiply(a: Rotation, b: Rotation) -> Rotation:
 
 
 def transpose(rotation: Rotation) -> Rotation:
-    """The inverse rotation."""
+    """Return the inverse rotation."""
     xx, xy, xz, yx, yy, yz, zx, zy, zz = rotation
     return (xx, yx, zx, xy, yy, zy, xz, yz, zz)
 
 
 def rotate(rotation: Rotation, vector: Sequence[float]) -> Vector:
-    """Turn a vector (3,)."""
+    """Rotate a vector (3,)."""
     xx, xy, xz, yx, yy, yz, zx, zy, zz = rotation
     x, y, z = vector
     return (xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z)
 
 
 def cross(a: Sequence[float], b: Sequence[float]) -> Vector:
-    """Vector product of (3,) and (3,)."""
+    """Return the vector product of (3,) and (3,)."""
     ax, ay, az = a
     bx, by, bz = b
     return (ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
 
 
 def compose(first: Sequence[float], second: Sequence[float]) -> list[float]:
-    """The pose `second`, given in the frame of the pose `first`, in the frame of `first` itself: `pose_trans`."""
+    """Return the pose `second`, given in the frame of `first`, in the frame in which `first` is given: `pose_trans`."""
     rotation = rotation_of(first[3], first[4], first[5])
     x, y, z = rotate(rotation, second[:3])
     turn = rotvec_of(multiply(rotation, rotation_of(second[3], second[4], second[5])))
@@ -113,14 +114,14 @@ def compose(first: Sequence[float], second: Sequence[float]) -> list[float]:
 
 
 def invert(pose: Sequence[float]) -> list[float]:
-    """The inverse of a pose: `pose_inv`."""
+    """Return the inverse of a pose: `pose_inv`."""
     rotation = transpose(rotation_of(pose[3], pose[4], pose[5]))
     x, y, z = rotate(rotation, pose[:3])
     return [-x, -y, -z, -pose[3], -pose[4], -pose[5]]
 
 
 def flange_of(q: Sequence[float]) -> tuple[Vector, Rotation]:
-    """Position (m) and rotation of the flange, base frame, for six joint angles (rad): `kinematics.forward`."""
+    """Return position (m) and rotation of the flange, base frame, at six joint angles (rad): `kinematics.forward`."""
     q1, q2, q3, q4, q5, q6 = q
     s1, c1 = math.sin(q1), math.cos(q1)
     s5, c5 = math.sin(q5), math.cos(q5)
@@ -153,7 +154,7 @@ def flange_of(q: Sequence[float]) -> tuple[Vector, Rotation]:
 
 
 def jacobian_of(q: Sequence[float], point: Sequence[float]) -> FloatArray:
-    """Geometric Jacobian (6, 6) at `point` (3,), base frame: linear velocity, then angular: `kinematics.jacobian`.
+    """Return the geometric Jacobian (6, 6) at `point` (3,), base frame, linear rows first: `kinematics.jacobian`.
 
     The point is given in the base frame and moves with the flange.
     """

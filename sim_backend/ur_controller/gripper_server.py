@@ -1,8 +1,8 @@
-"""A Robotiq 2F-85 and the server of its URCap on the controller, TCP 63352: lines of SET and GET.
+"""A Robotiq 2F-85 and the server of its URCap on the controller, TCP 63352, which takes lines of SET and GET.
 
-Variables and their meaning are those of the gripper's manual: a position request `POS` counts from 0, open, to 255,
+Variables and their meaning are those of the gripper's manual. A position request `POS` counts from 0, open, to 255,
 closed; the fingers end at 3 and 230, 85 mm and 0 mm apart. The world's peg is fastened to the flange whatever the
-fingers do: they are modelled in time and report what they meet, and that is all.
+fingers do: they move in time and report obstacles, but exert no force on the world.
 """
 
 from sim_backend.ur_controller.listener import Connection
@@ -13,35 +13,35 @@ POS_OPEN, POS_CLOSED = 3, 230
 """Counts at the mechanical ends."""
 SPEED_MM_S = (20.0, 150.0)
 FORCE_N = (20.0, 235.0)
-"""At SPE or FOR 0 and 255."""
+"""Forces at SPE or FOR 0 and 255, N."""
 PEG_WIDTH_MM = 28.0
 
 RESET, ACTIVATING, ACTIVE = 0, 1, 3
-"""STA."""
+"""Values of STA, the state of the activation."""
 MOVING, MET_OPENING, MET_CLOSING, ARRIVED = 0, 1, 2, 3
-"""OBJ: what ended the last motion."""
+"""Values of OBJ, the end of the last motion."""
 NO_FAULT, ACTIVATION_RUNS, NOT_ACTIVATED, RELEASING, RELEASED = 0, 5, 7, 11, 15
-"""FLT."""
+"""Values of FLT, the fault."""
 
 _RELEASE_SPEED_MM_S = SPEED_MM_S[0]
 _COUNT_MM = STROKE_MM / (POS_CLOSED - POS_OPEN)
 _LINE_BYTES = 1024
 _DIGITS = 9
-"""Of the longest number that is read."""
+"""Digits of the longest number that is read."""
 _SETTABLE = ("ACT", "GTO", "ATR", "ARD", "FOR", "SPE", "POS", "MOD", "SID")
 _BITS = ("ACT", "GTO", "ATR", "ARD")
 
 
 class Gripper:
-    """Fingers that move as fast as told, stop at an object, and hold it.
+    """Fingers that move at the requested speed, stop at an object, and hold it.
 
     Args:
-        object_mm: width of what stands between the fingers; None for nothing.
-        is_active: activated before, and closed on that object; otherwise as after switching on.
+        object_mm: width of the object between the fingers; None without one.
+        is_active: True if activated and closed on that object; False for the state after switching on.
 
     Attributes:
         opening_mm: distance between the fingertips.
-        object_mm: may be changed; a gripper that loses its object closes on.
+        object_mm: width of the object; may be changed. A gripper that loses its object continues to close.
     """
 
     def __init__(self, object_mm: float | None = PEG_WIDTH_MM, *, is_active: bool = True) -> None:
@@ -60,19 +60,19 @@ class Gripper:
 
     @property
     def force_n(self) -> float:
-        """Force on the object that is held; 0 when there is none."""
+        """Force on the held object, N; 0 without one."""
         low, high = FORCE_N
         return low + (high - low) * self._set["FOR"] / 255 if self._object == MET_CLOSING else 0.0
 
     def get(self, name: str) -> int | None:
-        """Value of a variable; None for one that does not exist."""
+        """Return the value of a variable; None for an unknown name."""
         readings = {"STA": self._status, "OBJ": self._object, "FLT": self._fault, "PRE": self._set["POS"]}
         if name == "POS":
             return round(POS_CLOSED - self.opening_mm / _COUNT_MM)
         return readings.get(name, self._set.get(name))
 
     def set(self, name: str, value: int) -> bool:
-        """Write a variable; returns False, and changes nothing, where it cannot be written or not with that value."""
+        """Write a variable; return False, and change nothing, for a read-only variable or an invalid value."""
         if name not in self._set or not 0 <= value <= (1 if name in _BITS else 255):
             return False
         before, self._set[name] = self._set[name], value
@@ -88,7 +88,7 @@ class Gripper:
         return True
 
     def tick(self) -> None:
-        """Let 2 ms pass."""
+        """Advance by 2 ms."""
         if self._fault == RELEASING:
             if self._move(STROKE_MM if self._set["ARD"] else 0.0, _RELEASE_SPEED_MM_S):
                 self._fault = RELEASED
@@ -107,14 +107,14 @@ class Gripper:
         return low + (high - low) * self._set["SPE"] / 255
 
     def _start(self) -> None:
-        """A motion is asked for."""
+        """Begin a requested motion."""
         if self._status == ACTIVE:
             self._object = MOVING
         else:
             self._fault = ACTIVATION_RUNS if self._status == ACTIVATING else NOT_ACTIVATED
 
     def _move(self, opening_mm: float, speed_mm_s: float) -> bool:
-        """Go on towards an opening; returns whether the fingers have come to rest."""
+        """Continue towards an opening; return True once the fingers have come to rest."""
         wanted = min(max(opening_mm, 0.0), STROKE_MM)
         step = speed_mm_s * TICK_S
         reached = min(max(wanted, self.opening_mm - step), self.opening_mm + step)
@@ -132,7 +132,7 @@ class Gripper:
 
 
 class GripperService:
-    """Answers SET with `ack`, without a line's end, and GET with name and value; anything else with `?`."""
+    """Answers SET with `ack`, without an end of line, GET with name and value, and anything else with `?`."""
 
     def __init__(self, gripper: Gripper) -> None:
         self._gripper = gripper
@@ -143,7 +143,7 @@ class GripperService:
         self._lines[connection] = b""
 
     def on_data(self, connection: Connection, data: bytes) -> None:
-        """Answer every complete line, all in one piece."""
+        """Answer every complete line, with one packet for all."""
         *lines, rest = (self._lines[connection] + data).split(b"\n")
         self._lines[connection] = rest
         if replies := b"".join(self._answer(line.decode("ascii", "replace").split()) for line in lines):
@@ -152,11 +152,11 @@ class GripperService:
             connection.close()
 
     def on_close(self, connection: Connection) -> None:
-        """Forget the peer."""
+        """Discard the state of the peer."""
         del self._lines[connection]
 
     def publish(self) -> None:
-        """The fingers move with the arm's time."""
+        """Advance the fingers with the arm's time."""
         self._gripper.tick()
 
     def _answer(self, words: list[str]) -> bytes:

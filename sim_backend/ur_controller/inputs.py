@@ -1,4 +1,6 @@
-"""What clients write: general-purpose registers, the other RTDE inputs, and the watchdogs over their packages."""
+"""Values that clients write: general-purpose registers, the other RTDE inputs, and the watchdogs over their
+packages.
+"""
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -10,7 +12,7 @@ from wire.records import TICK_S
 from wire.rtde.fields import BIT_REGISTERS, DOUBLE_REGISTERS, INPUTS, INT_REGISTERS
 
 LATE_PACKAGES = 1024
-"""More input packages than this wait for their latency to pass only if a client floods; the oldest apply early."""
+"""Limit of input packages that wait for their latency. Only a flood exceeds it; the oldest then apply early."""
 
 Action: TypeAlias = Literal["ignore", "pause", "stop"]
 
@@ -19,9 +21,9 @@ class Registers:
     """General-purpose registers in one direction.
 
     Attributes:
-        ints: 48, each of 32 bits.
-        doubles: 48.
-        bits: 128.
+        ints: 48 integers of 32 bits.
+        doubles: 48 numbers.
+        bits: 128 bits.
     """
 
     def __init__(self) -> None:
@@ -30,7 +32,7 @@ class Registers:
         self.bits = [False] * (BIT_REGISTERS.stop)
 
     def word(self, first: int) -> int:
-        """Bits `first` … `first` + 31 as one number."""
+        """Return bits `first` … `first` + 31 as one number."""
         return sum(bit << i for i, bit in enumerate(self.bits[first : first + 32]))
 
     def set_word(self, first: int, word: int) -> None:
@@ -40,7 +42,7 @@ class Registers:
 
 @dataclass(slots=True)
 class Watchdog:
-    """Packages with one input have to come at least every `period_ticks`."""
+    """Packages with one input must arrive at least every `period_ticks`."""
 
     period_ticks: float
     action: Action
@@ -48,16 +50,16 @@ class Watchdog:
 
 
 class Inputs:
-    """The inputs of all RTDE clients, and when they take effect.
+    """The inputs of all RTDE clients and their latency.
 
     Args:
-        terminals: whose outputs clients may write.
+        terminals: terminals whose outputs clients may write.
         set_speed: sets the speed slider.
 
     Attributes:
         registers: the input registers.
-        external_wrench: (6,) what a client says that its own force sensor reads.
-        watchdogs: by the variable that they watch.
+        external_wrench: (6,) reading of a client's own force sensor, as the client reports it.
+        watchdogs: watchdogs by the variable that they watch.
     """
 
     def __init__(self, terminals: Terminals, set_speed: Callable[[float], None]) -> None:
@@ -69,20 +71,20 @@ class Inputs:
         self._writers: dict[str, Callable[[Any], None]] = {name: self._writer(name) for name in INPUTS}
 
     def receive(self, names: Sequence[str], values: Sequence[Any], due: int) -> None:
-        """Take one package of RTDE inputs; it takes effect in the first tick from number `due` on."""
+        """Store one package of RTDE inputs; it takes effect in the first tick from number `due` on."""
         self._waiting.append((due, tuple(names), values))
         if len(self._waiting) > LATE_PACKAGES:
             self._apply(*self._waiting.popleft()[1:])
 
     def apply_due(self, tick: int) -> None:
-        """Let what is due by tick number `tick` take effect, in the order of arrival."""
+        """Apply the packages that are due by tick number `tick`, in the order of arrival."""
         waiting = self._waiting
         while waiting and waiting[0][0] <= tick:
             _, names, values = waiting.popleft()
             self._apply(names, values)
 
     def forget_latency(self) -> None:
-        """Let everything that waits take effect now: the episode that delayed it is over."""
+        """Apply all waiting packages now; the episode that delayed them is over."""
         self.apply_due(self._waiting[-1][0] if self._waiting else 0)
 
     def watch(self, variable: str, least_hz: float, action: Action) -> None:
@@ -93,9 +95,9 @@ class Inputs:
             self.watchdogs.pop(variable, None)
 
     def starved(self) -> tuple[str, Action] | None:
-        """Let 2 ms pass for the watchdogs; returns a variable that was waited for too long, and what to do about it.
+        """Advance the watchdogs by 2 ms; return a variable that is overdue and the action to take.
 
-        A watchdog says so once, and again after the next package.
+        A watchdog reports once, and again only after the next package.
         """
         tripped = None
         for variable, watchdog in self.watchdogs.items():

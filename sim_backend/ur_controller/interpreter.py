@@ -1,4 +1,4 @@
-"""The programs of a controller: the one that may move the arm, and secondary ones beside it."""
+"""Programs of a controller: the main program, which may move the arm, and the secondary programs beside it."""
 
 from collections.abc import Callable
 
@@ -8,24 +8,24 @@ from sim_backend.ur_controller.script import Compiled, Execution, State
 from wire.rtde.modes import RuntimeState
 
 MOST_SECONDARIES = 16
-"""Secondary programs at a time; more are refused."""
+"""Secondary programs that may run at a time; more are refused."""
 
 _RUNS = (RuntimeState.PLAYING, RuntimeState.RESUMING)
 _RESTS = (RuntimeState.PAUSING, RuntimeState.PAUSED)
 
 
 class Interpreter:
-    """Runs programs, one step of each per tick.
+    """Runs programs, each by one step per tick.
 
     Args:
-        motion: where the arm is told to be; it decelerates when the program ends.
-        emit: hears of programs that start, end and fail.
+        motion: commanded motion of the arm; it decelerates when the program ends.
+        emit: receives the events of programs that start, end and fail.
         ended: called when the main program has ended, before `emit`.
 
     Attributes:
-        state: of the main program.
-        execution: what runs now: the main program, or the one whose builtin has been called; None without one.
-        name: of the main program, or of the last one.
+        state: state of the main program.
+        execution: the main program, or the program whose builtin is being called; None without one.
+        name: name of the main program, or of the last one.
     """
 
     def __init__(self, motion: Motion, emit: Callable[[Event], None], ended: Callable[[], None]) -> None:
@@ -42,21 +42,21 @@ class Interpreter:
 
     @property
     def runs(self) -> bool:
-        """Whether a main program is there and not paused."""
+        """A main program exists and is not paused."""
         return self.state in _RUNS
 
     @property
     def is_paused(self) -> bool:
-        """Whether a main program is paused, or about to be."""
+        """A main program is paused, or about to be."""
         return self.state in _RESTS
 
     @property
     def is_busy(self) -> bool:
-        """Whether a main program is there."""
+        """A main program exists."""
         return self._main is not None
 
     def start(self, compiled: Compiled) -> None:
-        """Run a program in place of the main one, as soon as the arm has come to rest."""
+        """Replace the main program, as soon as the arm has come to rest."""
         self.stop()
         self._main = self.execution = Execution(compiled)
         self._waiting = True
@@ -68,24 +68,24 @@ class Interpreter:
         """Run a secondary program beside the main one.
 
         Raises:
-            Refused: there are too many.
+            Refused: too many secondary programs run.
         """
         if len(self._secondaries) >= MOST_SECONDARIES:
             raise Refused(f"{MOST_SECONDARIES} secondary programs run already; wait for one to end")
         self._secondaries.append(Execution(compiled))
 
     def pause(self) -> None:
-        """Let the main program and its motion come to rest."""
+        """Bring the main program and its motion to rest."""
         if self.runs:
             self.state = RuntimeState.PAUSING
 
     def resume(self) -> None:
-        """Go on with a paused program."""
+        """Resume a paused program."""
         if self.is_paused:
             self.state = RuntimeState.RESUMING
 
     def stop(self) -> None:
-        """End the main program; the arm decelerates. One that asks for it itself ends when its builtin has returned."""
+        """End the main program; the arm decelerates. A program that stops itself ends when its builtin has returned."""
         if self._main is None:
             return
         self._main.kill()
@@ -98,20 +98,20 @@ class Interpreter:
         self._emit(ProgramStopped(self.name))
 
     def stop_all(self) -> None:
-        """End the secondary programs too."""
+        """End the main program and the secondary programs."""
         self.stop()
         for secondary in self._secondaries:
             secondary.kill()
 
     def step(self) -> None:
-        """Run the programs' share of one tick."""
+        """Run one tick of every program."""
         if self._secondaries:
             self._step_secondaries()
         main = self._main
         if main is None or self.state not in _RUNS:
             return
         if self._waiting and self._motion.moving:
-            return  # the program before decelerates
+            return  # the previous program decelerates
         self._waiting = False
         self._stepping = True
         try:
@@ -123,7 +123,7 @@ class Interpreter:
             self.stop()
 
     def settle(self, slider: float) -> None:
-        """Take note of what the motion has reached in this tick; `slider` is the speed that it is to go at."""
+        """Note the progress of the motion in this tick; `slider` is the requested fraction of its speed."""
         if self.state is RuntimeState.STOPPING:
             if not self._motion.moving:
                 self.state = RuntimeState.STOPPED

@@ -1,6 +1,6 @@
-"""TCP services on one thread: connections with bounded buffers, and the loop that asks them all once per tick.
+"""TCP services on one thread: connections with bounded buffers, and the loop that polls them once per tick.
 
-Nothing here blocks. A client that does not read cannot hold up the tick, nor make the process grow: it is disconnected.
+Nothing here blocks. A client that does not read is disconnected, so it can neither delay the tick nor fill the memory.
 """
 
 import contextlib
@@ -11,32 +11,34 @@ from collections.abc import Callable
 from typing import Protocol
 
 DRAIN_TIMEOUT_S = 10.0
-"""A connection whose peer takes none of what waits for it is closed after this, as an e-Series controller does."""
+"""Time after which a connection is closed if its peer takes none of the waiting bytes; an e-Series controller
+does so.
+"""
 MAX_PENDING_BYTES = 1 << 20
-"""What may wait for one peer in this process; a connection that would exceed it is closed."""
+"""Largest number of bytes that may wait for one peer in this process; a connection that would exceed it is closed."""
 MAX_CONNECTIONS = 32
-"""Of one service; further peers are accepted and closed at once, so that they learn it."""
+"""Connections per service; further peers are accepted and closed at once, so that they notice."""
 READ_BYTES = 8192
-"""Read from one connection per poll: a flood is held back by its own TCP window, and the tick keeps its time."""
+"""Bytes read from one connection per poll. TCP's own window holds a flood back, so the tick stays in time."""
 
-_SEND_BUFFER_BYTES = 64 * 1024  # small, so that a slow reader falls behind by a fraction of a second only
+_SEND_BUFFER_BYTES = 64 * 1024  # small, so that a slow reader falls behind by only a fraction of a second
 _BACKLOG = 16
-_KEEPALIVE = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 5}  # a vanished peer frees what it holds in 20 s
+_KEEPALIVE = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 5}  # a vanished peer frees its resources in 20 s
 
 
 class ListenError(OSError):
-    """An address that cannot be listened at; the text names it and says why."""
+    """An address at which listening fails; the text names it and the reason."""
 
 
 class Connection:
     """One accepted peer.
 
     Attributes:
-        peer: its address, `host:port`.
-        is_open: false once either side has closed; the service hears of it through `on_close`.
-        pending: bytes that wait for the peer to read.
-        patient: never close for lack of reading. For services that send only when nothing is `pending`, to clients
-            that open a connection to write to it and never read.
+        peer: address of the peer, `host:port`.
+        is_open: False once either side has closed; `on_close` tells the service.
+        pending: number of bytes that the peer has still to read.
+        patient: never close because the peer does not read. For services that send only when nothing is `pending`, to
+            clients that connect only to write.
     """
 
     def __init__(self, peer_socket: socket.socket, peer: str, clock: Callable[[], float]) -> None:
@@ -58,10 +60,10 @@ class Connection:
         return self.peer.rsplit(":", 1)[0]
 
     def send(self, data: bytes) -> None:
-        """Send, or keep for later what the peer does not take now; does nothing once closed.
+        """Send, or keep for later the bytes that the peer does not take now; no effect once closed.
 
-        More than `MAX_PENDING_BYTES` waiting closes the connection. A stream of states is better skipped than queued:
-        look at `pending` first.
+        A connection with more than `MAX_PENDING_BYTES` waiting is closed. A stream of states should skip rather than
+        queue: check `pending` first.
         """
         if not self.is_open:
             return
@@ -77,11 +79,11 @@ class Connection:
             self._buffer += data[sent:]
 
     def close(self) -> None:
-        """Close when the present round of the loop is over. What `send` has handed to the network still arrives."""
+        """Close after the present round of the loop. Bytes that `send` passed to the network still arrive."""
         self.is_open = False
 
     def flush(self) -> None:
-        """Send what waits; closes where the peer has taken nothing for `DRAIN_TIMEOUT_S`, unless `patient`."""
+        """Send waiting bytes; close if the peer has taken none for `DRAIN_TIMEOUT_S`, unless `patient`."""
         sent = self._send(self._buffer)
         if sent:
             del self._buffer[:sent]
@@ -90,7 +92,7 @@ class Connection:
             self.close()
 
     def read(self) -> bytes:
-        """What has arrived, at most `READ_BYTES`; empty, and closed, when the peer has gone."""
+        """Return the bytes that have arrived, at most `READ_BYTES`; empty, and closed, if the peer has gone."""
         try:
             data = self._socket.recv(READ_BYTES)
         except (BlockingIOError, InterruptedError):
@@ -121,26 +123,26 @@ class Connection:
 
 
 class Service(Protocol):
-    """What a TCP service does; every method runs on the thread of the loop and must return within a fraction of a tick.
+    """A TCP service. Every method runs on the loop's thread and must return within a fraction of a tick.
 
-    A method that raises ends the controller: what a peer can get wrong is the service's to handle, with `send` or
-    `close`. A connection closed within one of these methods is reported to `on_close` after it has returned.
+    A method that raises ends the controller, so a service handles every error of a peer with `send` or `close`. A
+    connection closed within one of these methods is reported to `on_close` after the method has returned.
     """
 
     def on_connect(self, connection: Connection) -> None:
-        """A peer has connected."""
+        """Handle a new connection."""
         ...
 
     def on_data(self, connection: Connection, data: bytes) -> None:
-        """Bytes have arrived, cut anywhere; never empty."""
+        """Handle bytes, cut anywhere; never empty."""
         ...
 
     def on_close(self, connection: Connection) -> None:
-        """A connection has ended, by whichever side; called once."""
+        """Handle the end of a connection, closed by either side; called once."""
         ...
 
     def publish(self) -> None:
-        """A tick has passed."""
+        """Handle the end of a tick."""
         ...
 
 
@@ -160,7 +162,7 @@ class Listener:
         """Start with no service.
 
         Args:
-            clock: monotonic time, s, for `DRAIN_TIMEOUT_S`.
+            clock: returns monotonic time, s, for `DRAIN_TIMEOUT_S`.
         """
         self._clock = clock
         self._selector = selectors.DefaultSelector()
@@ -170,20 +172,20 @@ class Listener:
         """Listen for a service.
 
         Args:
-            service: hears of connections and ticks from now on.
+            service: receives connections and ticks from now on.
             host: address or name of this machine.
             port: 0 for a free one.
 
         Returns:
-            The port that is listened at.
+            The port in use.
 
         Raises:
-            ListenError: the address is taken, or not of this machine.
+            ListenError: the address is taken, or does not belong to this machine.
         """
         listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)  # accepted ones inherit it
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)  # accepted sockets inherit it
             listening.bind((host, port))
             listening.listen(_BACKLOG)
         except OSError as error:
@@ -196,7 +198,7 @@ class Listener:
         return int(listening.getsockname()[1])
 
     def poll(self) -> None:
-        """Accept, read and hand over everything that has arrived; send what waits; never blocks."""
+        """Accept, read and pass on everything that has arrived, and send waiting bytes; never blocks."""
         for key, _ in self._selector.select(0):
             if isinstance(key.data, _Port):
                 self._accept(key.data)
@@ -228,7 +230,7 @@ class Listener:
     def _accept(self, port: _Port) -> None:
         try:
             accepted, address = port.listening.accept()
-        except OSError:  # the peer gave up while it waited
+        except OSError:  # the peer gave up while waiting
             return
         if len(port.connections) >= MAX_CONNECTIONS:
             accepted.close()

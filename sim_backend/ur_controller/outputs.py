@@ -1,15 +1,16 @@
-"""What RTDE clients may read of a controller: one function per variable, evaluated only where somebody asks.
+"""Outputs of a controller for RTDE clients: one function per variable, evaluated only on request.
 
-Meanings and units are those of UR's RTDE guide. What has no counterpart in the simulation has the value that it has on
-a healthy robot at rest: voltages, temperatures, currents of what is not there.
+Meanings and units are those of UR's RTDE guide. A variable without a counterpart in the simulation has its value on a
+healthy robot at rest: voltages, temperatures, currents of absent parts.
 """
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.geometry import jacobian_of
 from sim_backend.ur_controller.inputs import Registers
 from sim_backend.ur_controller.terminals import CONFIGURABLE
@@ -18,17 +19,13 @@ from sim_backend.world.kinematics import UR3E
 from wire.rtde.fields import BIT_REGISTERS, DOUBLE_REGISTERS, INT_REGISTERS
 from wire.rtde.modes import RobotMode
 
-if TYPE_CHECKING:
-    from sim_backend.ur_controller.controller import Controller
-
 Getter = Callable[[], Any]
 T = TypeVar("T")
 
 CURRENT_A_PER_NM = 0.1
-"""Joint current over joint torque. An assumption: UR publishes none."""
+"""Ratio of joint current to joint torque. An assumption: UR publishes none."""
 SUPPLY_V = 48.0
 IDLE_CURRENT_A = 0.5
-TEMPERATURE_C = 30.0
 
 _JOINT_RUNNING, _JOINT_IDLE, _JOINT_POWER_OFF, _JOINT_BOOTING = 253, 255, 239, 247
 _JOINT_MODES = {
@@ -46,10 +43,10 @@ class Outputs:
     """The outputs of one controller.
 
     Attributes:
-        getters: by the variable's name; each returns a number, or a list of the field's length.
+        getters: functions by variable name; each returns a number, or a list of the field's length.
     """
 
-    def __init__(self, controller: "Controller") -> None:
+    def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self._plant, self._motion = controller.plant, controller.motion
         self._memory: dict[str, tuple[float, Any]] = {}
@@ -126,7 +123,7 @@ class Outputs:
             "time_scale_source": lambda: 0,
             "actual_execution_time": lambda: 0.0,
             "target_execution_time": lambda: 0.0,
-            "joint_temperatures": lambda: [TEMPERATURE_C] * 6,
+            "joint_temperatures": lambda: [controller.temperature_c] * 6,
             "actual_main_voltage": lambda: SUPPLY_V,
             "actual_robot_voltage": lambda: SUPPLY_V if controller.safety.is_powered else 0.0,
             "actual_joint_voltage": lambda: [SUPPLY_V if controller.safety.is_powered else 0.0] * 6,
@@ -152,7 +149,7 @@ class Outputs:
             "tool_analog_input1": lambda: terminals.analog_inputs[3],
             "tool_output_voltage": lambda: terminals.tool_voltage,
             "tool_output_current": lambda: 0.0,
-            "tool_temperature": lambda: TEMPERATURE_C,
+            "tool_temperature": lambda: self._controller.temperature_c,
             "tool_mode": lambda: _TOOL_MODE_IDLE,
             "tool_output_mode": lambda: 0,
             "tool_digital_output0_mode": lambda: 0,
@@ -167,7 +164,7 @@ class Outputs:
         }
 
     def _once(self, key: str, compute: Callable[[], T]) -> Callable[[], T]:
-        """`compute`, but once per tick, however many clients ask."""
+        """Return a function that evaluates `compute` once per tick, however many clients ask."""
         memory, controller = self._memory, self._controller
 
         def get() -> T:
@@ -186,7 +183,7 @@ class Outputs:
         return [CURRENT_A_PER_NM * torque for torque in self._torques()]
 
     def _target_acceleration(self) -> list[float]:
-        """Without the part that the speeds alone make."""
+        """Return the acceleration without the part caused by the joint speeds."""
         motion = self._motion
         return (self._plant.jacobian_of(motion.q_target.tolist()) @ motion.qdd_target).tolist()
 
@@ -194,7 +191,7 @@ class Outputs:
         return float(np.abs(self._plant.q - self._motion.q_target).max()) / PROTECTIVE_ERROR_RAD
 
     def _wrench_from_currents(self) -> list[float]:
-        """What the joints' torques say of the force on the flange; of a singular arm they say nothing."""
+        """Return the flange's wrench derived from the joint torques; zero for a singular arm."""
         plant = self._plant
         q = plant.q.tolist()
         jacobian = jacobian_of(q, plant.flange()[0])

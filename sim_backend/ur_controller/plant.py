@@ -1,4 +1,4 @@
-"""One simulated arm with its tool, as its controller sees it: joints that it drives, and all that it can measure."""
+"""One simulated arm with its tool, seen by its controller: the joints it drives and the values it can measure."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -33,33 +33,33 @@ _ONLY = np.array([0])
 class Plant:
     """The arm of a world of one cell.
 
-    Measured values are those after the last tick; arrays are replaced, never changed in place. Poses are
-    `[x, y, z, rx, ry, rz]`, m and rad, base frame.
+    Measured values belong to the last tick; arrays are replaced, never changed in place. Poses are `[x, y, z, rx, ry,
+    rz]`, m and rad, base frame.
 
-    The arm is put somewhere else in one of two ways, both at rest and both at once: `lay_out` begins an episode anew,
-    `place` moves the arm alone. Whoever drives the arm hears of it through `on_placed`, and has to take the measured
-    joints as its target; programs that run there go on.
+    Two methods move the arm elsewhere at once and leave it at rest: `lay_out` begins an episode anew, `place` moves the
+    arm alone. Both notify the arm's driver through `on_placed`; the driver must then take the measured joints as its
+    target. Running programs continue.
 
     Args:
-        world: of one cell; another takes its place when an episode asks for another part.
+        world: world of one cell; it is replaced when an episode asks for another part.
 
     Attributes:
-        world: what is simulated.
+        world: simulated world.
         q: (6,) measured joint angles, rad.
         qd: (6,) measured joint speeds, rad/s.
-        set_points: (6,) what the joint servos were given last, rad.
-        wrench: (6,) at the configured TCP, base axes, N and N·m: what the environment does to the tool, zeroed and
+        set_points: (6,) last set-points of the joint servos, rad.
+        wrench: (6,) wrench of the environment on the tool at the configured TCP, base axes, N and N·m, zeroed and
             without the weight of the configured payload.
-        ft_raw: (6,) what the sensor at the flange reads, flange axes; neither zeroed nor compensated.
+        ft_raw: (6,) reading of the sensor at the flange, flange axes; neither zeroed nor compensated.
         saturated: a channel of the sensor is at the end of its range.
-        tcp_offset: pose of the configured TCP in the flange's frame; at first the scene's.
-        payload_kg: configured payload; at first the scene's, as are the next two.
-        payload_cog: (3,) its centre in the flange's frame, m.
-        payload_inertia: (6,) Ixx Iyy Izz Ixy Ixz Iyz, kg·m²; reported, and without effect.
-        external_wrench: (6,) of a sensor that is not the arm's own, about the flange, flange axes, zeroed by whoever
-            reads it; where it is set, `wrench` comes from it instead.
+        tcp_offset: pose of the configured TCP in the flange's frame; initially the scene's.
+        payload_kg: configured payload; initially the scene's, like the next two.
+        payload_cog: (3,) centre of the payload in the flange's frame, m.
+        payload_inertia: (6,) Ixx Iyy Izz Ixy Ixz Iyz, kg·m²; reported, but without effect.
+        external_wrench: (6,) wrench of an external sensor about the flange, flange axes, zeroed by its owner; if set,
+            `wrench` is derived from it.
         input_delay: ticks from a command's arrival to its effect in this episode.
-        on_placed: called after the arm was put somewhere else.
+        on_placed: functions called after the arm was moved elsewhere.
     """
 
     def __init__(self, world: World) -> None:
@@ -82,8 +82,8 @@ class Plant:
         """Simulate one tick of 2 ms.
 
         Args:
-            q_target: (6,) where the joints are to be at its end, rad.
-            qd_target: (6,) how fast they are to move there, rad/s.
+            q_target: (6,) joint targets at the end of the tick, rad.
+            qd_target: (6,) joint speeds on the way, rad/s.
         """
         if self._phase == 0:
             self._servo.refresh(_ONLY, q_target[None])
@@ -97,7 +97,7 @@ class Plant:
     def lay_out(self, task: Task) -> None:
         """Begin an episode: another hole, another plant, the arm at rest at the start pose.
 
-        The configured TCP and payload stay; the sensor's zero is lost, for it has another bias.
+        The configured TCP and payload stay. The sensor's zero is lost because the bias changes.
 
         Raises:
             ValueError: a value of the task is out of range.
@@ -106,7 +106,7 @@ class Plant:
         if task.part != self.world.part:
             self.world = World(1, task.part)
         nominal = scene.PAYLOAD_KG, (0.0, 0.0, scene.PAYLOAD_COM_M), self.tcp_offset[:3]
-        self.world.sensor.configure(*nominal, self.world.rotation)  # what a reset takes as carried
+        self.world.sensor.configure(*nominal, self.world.rotation)  # load that a reset assumes to be carried
         self.world.reset(_ONLY, [task])
         self._task = task
         self._configure()
@@ -116,7 +116,7 @@ class Plant:
         """Put the arm at rest with the scene's TCP at `position` (3,), m, tool down, turned by `yaw`, rad.
 
         Raises:
-            KinematicsError: out of reach.
+            KinematicsError: the pose is out of reach.
         """
         self.world.place(_ONLY, np.array([position], np.float64), np.array([yaw]))
         self._placed()
@@ -129,66 +129,70 @@ class Plant:
         self._pose = self._twist = self._twist_before = None
 
     def set_payload(self, kg: float, cog: Sequence[float], inertia: Sequence[float] | None = None) -> None:
-        """Configure the payload: mass kg, centre (3,) m in the flange's frame, inertia (6,) kg·m² or as it is."""
+        """Configure the payload: mass kg, centre (3,) m in the flange's frame, inertia (6,) kg·m²; None keeps the
+        inertia.
+        """
         self.payload_kg, self.payload_cog = float(kg), tuple(map(float, cog))
         if inertia is not None:
             self.payload_inertia = tuple(map(float, inertia))
         self._configure()
 
     def zero_ft(self) -> None:
-        """Take what the sensor read in the last moments as its zero; meaningless in contact and in motion."""
+        """Take the sensor's latest readings as its zero; meaningless in contact and in motion."""
         self.world.zero_ft(_ONLY)
 
     def flange(self) -> tuple[Vector, Rotation]:
-        """Measured position (m) and rotation of the flange."""
+        """Return measured position (m) and rotation of the flange."""
         if self._flange is None:
             self._flange = flange_of(self.q.tolist())
         return self._flange
 
     def tcp_pose(self) -> list[float]:
-        """Measured pose of the configured TCP."""
+        """Return the measured pose of the configured TCP."""
         if self._pose is None:
             self._pose = self._tcp(*self.flange())
         return self._pose.copy()
 
     def tcp_speed(self) -> list[float]:
-        """Measured twist of the configured TCP, base axes, m/s and rad/s."""
+        """Return the measured twist of the configured TCP, base axes, m/s and rad/s."""
         if self._twist is None:
             speed: list[float] = (jacobian_of(self.q.tolist(), self.tcp_pose()[:3]) @ self.qd).tolist()
             self._twist = speed
         return self._twist.copy()
 
     def tcp_acceleration(self) -> list[float]:
-        """Change of `tcp_speed` over the last tick, m/s² and rad/s²."""
+        """Return the change of `tcp_speed` over the last tick, m/s² and rad/s²."""
         if self._twist_before is None:
             q, qd = self._before
             self._twist_before = (self.jacobian_of(q.tolist()) @ qd).tolist()
         return [(now - before) / TICK_S for now, before in zip(self.tcp_speed(), self._twist_before, strict=True)]
 
     def tool_acceleration(self) -> list[float]:
-        """What an accelerometer at the TCP reads (3,), flange axes, m/s²: at rest the reaction to gravity."""
+        """Return the reading of an accelerometer at the TCP (3,), flange axes, m/s²; at rest the reaction to
+        gravity.
+        """
         x, y, z, *_ = self.tcp_acceleration()
         return list(rotate(transpose(self.flange()[1]), (x, y, z + kinematics.GRAVITY_M_S2)))
 
     def flange_wrench(self) -> list[float]:
-        """`wrench`, with the torque about the flange's origin instead of the TCP."""
+        """Return `wrench` with the torque about the flange's origin instead of the TCP."""
         force, moment = self.wrench[:3].tolist(), self.wrench[3:].tolist()
         lever = rotate(self.flange()[1], self.tcp_offset[:3])
         turned = cross(lever, force)
         return [*force, moment[0] + turned[0], moment[1] + turned[1], moment[2] + turned[2]]
 
     def joint_torques(self) -> FloatArray:
-        """(6,) torque of the joint servos, N·m, without the weight of the links."""
+        """Return the torque of the joint servos (6,), N·m, without the weight of the links."""
         torque = self._stiffness * (self.set_points - self.q) - self._damping * self.qd
         return np.minimum(np.maximum(torque, -kinematics.JOINT_TORQUE_NM), kinematics.JOINT_TORQUE_NM)
 
     def payload_torques(self) -> FloatArray:
-        """(6,) of `joint_torques` what carries the configured payload at rest, N·m."""
+        """Return the part of `joint_torques` (6,) that carries the configured payload at rest, N·m."""
         lift = kinematics.jacobian(self.q, np.array(self.payload_cog))[2]
         return self.payload_kg * kinematics.GRAVITY_M_S2 * lift
 
     def elbow(self) -> tuple[list[float], list[float]]:
-        """Position (3,), m, and velocity (3,), m/s, of the elbow, where the upper arm ends."""
+        """Return position (3,), m, and velocity (3,), m/s, of the elbow, the end of the upper arm."""
         q1, q2 = self.q[:2].tolist()
         rate1, rate2 = self.qd[:2].tolist()
         length = UR3E[1].a_m
@@ -203,27 +207,29 @@ class Plant:
         return position, velocity
 
     def momentum(self) -> float:
-        """Norm of the arm's linear momentum, tool included, kg·m/s."""
+        """Return the norm of the arm's linear momentum, tool included, kg·m/s."""
         return math.hypot(*self.world.momentum())
 
     def flange_pose_of(self, q: Sequence[float]) -> list[float]:
-        """Pose of the flange at joint angles (6,)."""
+        """Return the pose of the flange at joint angles (6,)."""
         position, rotation = flange_of(q)
         return [*position, *rotvec_of(rotation)]
 
     def tcp_pose_of(self, q: Sequence[float]) -> list[float]:
-        """Pose of the configured TCP at joint angles (6,)."""
+        """Return the pose of the configured TCP at joint angles (6,)."""
         return self._tcp(*flange_of(q))
 
     def jacobian_of(self, q: Sequence[float]) -> FloatArray:
-        """Geometric Jacobian (6, 6) of the configured TCP at joint angles (6,), base axes, linear rows first."""
+        """Return the geometric Jacobian (6, 6) of the configured TCP at joint angles (6,), base axes, linear rows
+        first.
+        """
         position, rotation = flange_of(q)
         x, y, z = rotate(rotation, self.tcp_offset[:3])
         return jacobian_of(q, (position[0] + x, position[1] + y, position[2] + z))
 
     @property
     def estimate(self) -> FloatArray:
-        """(3,) the camera's estimate of the hole's mouth, m."""
+        """(3,) camera's estimate of the hole's mouth, m."""
         return self.world.estimate[0]
 
     @property
@@ -232,7 +238,7 @@ class Plant:
         return float(self.world.true_force[0])
 
     def truth(self) -> dict[str, Any]:
-        """What only the simulation knows: for evaluation and tests, never for a controller."""
+        """Return facts that only the simulation knows; for evaluation and tests, never for a controller."""
         return {"task": self._task.to_json(), **self.world.truth()}
 
     @property

@@ -1,7 +1,7 @@
-"""Script ports, TCP 30001 to 30003: take programs and commands, and tell what the robot does.
+"""Script ports, TCP 30001 to 30003: they take programs and commands and report the robot's state.
 
-The primary port (30001) sends the robot's state at 10 Hz and messages as they come, the secondary port (30002) the
-state alone, the real-time port (30003) one package of doubles per tick.
+The primary port (30001) sends the robot's state at 10 Hz and messages as they come, the secondary port (30002) only the
+state, the real-time port (30003) one package of doubles per tick.
 """
 
 import math
@@ -13,6 +13,7 @@ from sim_backend.ur_controller import events
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Event, Refused
 from sim_backend.ur_controller.listener import Connection
+from sim_backend.ur_controller.outputs import Outputs
 from sim_backend.ur_controller.program_reader import ProgramReader, ProgramTooLongError
 from sim_backend.ur_controller.safety import ASKED_BY_PROGRAM, EMERGENCIES
 from sim_backend.world.kinematics import UR3E
@@ -26,12 +27,12 @@ Kind = Literal["primary", "secondary", "realtime"]
 
 BUILD_DATE = "12-03-2025, 10:00:00"
 PROTECTIVE_STOP, PROTECTIVE_STOP_ASKED_FOR = 160, 209
-"""Error codes by which a protective stop is reported, the second one when a program has called for it; of the others a
-robot gives one by cause."""
+"""Error codes of a protective stop; the second one reports a stop that a program has called for. For other stops a real
+robot gives a code by cause."""
 
 _PROGRAMS_PER_TICK = 2
 _MOST_WAITING = 256
-_SILENT_TICKS = 2  # of a new connection: in between, what it had sent before it was accepted is read
+_SILENT_TICKS = 2  # for a new connection; meanwhile bytes sent before its acceptance are read
 _STATE_TICKS = round(1.0 / (STATE_HZ * TICK_S))
 _SLOWEST_ACCELERATION = 40.0  # rad/s², as a UR reports it
 _CONFIGURATION = state.Configuration(
@@ -65,11 +66,11 @@ _KINEMATICS = state.Kinematics(
 class PrimaryService:
     """One of the script ports.
 
-    A connection that was opened in local control cannot command, even after the switch was turned: it has to connect
-    again. On the primary port it is told so.
+    A connection opened in local control cannot command, even after the switch is turned: it must connect again. The
+    primary port tells the client so.
     """
 
-    def __init__(self, controller: Controller, kind: Kind) -> None:
+    def __init__(self, controller: Controller, outputs: Outputs, kind: Kind) -> None:
         self._controller = controller
         self._kind: Kind = kind
         self._readers: dict[Connection, ProgramReader] = {}
@@ -89,22 +90,20 @@ class PrimaryService:
         }
         self._package = {"primary": self._state, "secondary": self._state, "realtime": self._realtime}[kind]
         self._period = 1 if kind == "realtime" else _STATE_TICKS
-        self._realtime_getters = [
-            (controller.output_getter(name) if name else None, count) for name, count in realtime.FIELDS
-        ]
-        self._get = {name: controller.output_getter(name) for name in _STATE_OUTPUTS}
+        self._realtime_getters = [(outputs.getters[name] if name else None, count) for name, count in realtime.FIELDS]
+        self._get = {name: outputs.getters[name] for name in _STATE_OUTPUTS}
         if kind == "primary":
             controller.events.append(self._on_event)
 
     def on_connect(self, connection: Connection) -> None:
-        """Hear it out first: a client may be gone after its program, and sending to it would lose what it has sent."""
-        connection.patient = True  # a client that uploads scripts only may never read
+        """Read before sending: a client may leave after its program, and sending to it would lose the program."""
+        connection.patient = True  # a client that only uploads scripts may never read
         self._readers[connection] = ProgramReader()
         self._writable[connection] = self._controller.takes_commands
         self._silent[connection] = _SILENT_TICKS
 
     def on_data(self, connection: Connection, data: bytes) -> None:
-        """Run every program that is complete."""
+        """Run every complete program."""
         try:
             for program in self._readers[connection].feed(data):
                 self._take(connection, program)
@@ -112,14 +111,14 @@ class PrimaryService:
             connection.close()
 
     def on_close(self, connection: Connection) -> None:
-        """Run what a client sent last and whole, then forget it."""
+        """Run the last complete program of a client, then discard the state of the peer."""
         for program in self._readers[connection].finish():
             self._take(connection, program)
         del self._readers[connection], self._writable[connection]
         self._silent.pop(connection, None)
 
     def publish(self) -> None:
-        """Send what is due to those who have read what they got before."""
+        """Send due packages to peers that have read the earlier ones."""
         self._left = _PROGRAMS_PER_TICK
         self._run_waiting()
         for connection, ticks in list(self._silent.items()):
@@ -149,7 +148,7 @@ class PrimaryService:
     # --- commands ---------------------------------------------------------------------------------------------------
 
     def _take(self, connection: Connection, program: str) -> None:
-        """Run a program, or let it wait for its turn: the tick keeps its time."""
+        """Run a program, or queue it so that the tick stays in time."""
         if not (self._controller.takes_commands and self._writable[connection]):
             text = "The connection is read-only: it was opened, or the robot is, in local control"
             self._complain(connection, ErrorCode(ErrorCode.READ_ONLY, 0, ReportLevel.VIOLATION, text))
@@ -179,14 +178,14 @@ class PrimaryService:
             self._tell(connection, self._framed(error))
 
     def _unlock(self) -> None:
-        """Unlock a protective stop of any age: the wait of 5 s is the dashboard's and the pendant's."""
+        """Unlock a protective stop of any age; only the dashboard and the pendant wait for 5 s."""
         self._controller.unlock_protective_stop(at_once=True)
 
     # --- messages ---------------------------------------------------------------------------------------------------
 
     def _on_event(self, event: Event) -> None:
         if isinstance(event, events.SafetyChanged):
-            # Whoever waits for the mode shall not read an older one after this message.
+            # A client that waits for the mode must not read an older one after this message.
             self._send_to_all(self._state)
         for source, message in _messages(event):
             data = self._framed(message, source)
@@ -272,7 +271,7 @@ class PrimaryService:
 
 _JOINT_OUTPUTS = (
     *("actual_q", "target_q", "actual_qd", "actual_current", "actual_joint_voltage", "joint_temperatures"),
-    # the temperature of a joint's electronics is not modelled apart from its motor's
+    # the temperature of a joint's electronics is modelled as its motor's
     *("joint_temperatures", "joint_mode"),
 )
 _STATE_OUTPUTS = (
@@ -285,7 +284,7 @@ _STATE_OUTPUTS = (
 
 
 def _messages(event: Event) -> Iterable[tuple[int, Message]]:
-    """What the primary port says of an event."""
+    """Return the messages of the primary port for an event."""
     match event:
         case events.ProgramStarted(name):
             yield Source.ROBOT_INTERFACE, messages.Key(messages.PROGRAM_STARTED, name)

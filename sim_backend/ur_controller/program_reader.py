@@ -1,13 +1,13 @@
-"""Cuts what a client sends to a script port into programs: they arrive in pieces, joined, and among single lines."""
+"""Cuts the bytes of a script port into programs, which arrive in pieces, joined, and among single lines."""
 
 import re
 from collections.abc import Iterator
 
 LIMIT = 1 << 20
-"""Bytes of the largest program that is taken."""
+"""Largest program accepted, bytes."""
 
 _TOKEN = re.compile(r'"[^"]*"|#.*|(?<!\.)\b(?:def|sec|thread|if|while|end)\b')
-"""A keyword after a dot is the name of a field, as in `time().sec`."""
+"""Tokens that matter for blocks. A keyword after a dot names a field, as in `time().sec`."""
 _BLOCK = frozenset(("def", "sec", "thread", "if", "while"))
 
 
@@ -16,9 +16,9 @@ class ProgramTooLongError(ValueError):
 
 
 class ProgramReader:
-    """Yields complete programs: a block with its `end`, or a line that opens none.
+    """Yields complete programs: a block with its `end`, or a line that opens no block.
 
-    Comments and blank lines between programs are dropped, so line 1 of a program is the one that begins it.
+    Comments and blank lines between programs are dropped, so line 1 of a program is the line that begins it.
     """
 
     def __init__(self) -> None:
@@ -31,7 +31,7 @@ class ProgramReader:
         """Take bytes, cut anywhere, and yield the programs that they complete.
 
         Raises:
-            ProgramTooLongError: what came cannot be a program; nothing can be read any more.
+            ProgramTooLongError: the bytes cannot be a program; nothing more can be read.
         """
         self._size += len(data)
         *lines, rest = (self._line + data).split(b"\n")
@@ -42,7 +42,7 @@ class ProgramReader:
             raise ProgramTooLongError(f"{self._size} bytes without the end of a program; at most {LIMIT} are taken")
 
     def finish(self) -> Iterator[str]:
-        """The client has closed: yield a program whose last `end` has no line's end behind it."""
+        """Yield the last program after the client has closed, even if its `end` has no end of line."""
         inside = self._depth > 0
         for program in self._take(self._line.decode("utf-8", "replace")):
             if inside:

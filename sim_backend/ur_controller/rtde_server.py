@@ -1,6 +1,6 @@
-"""RTDE as the emulated controller serves it: recipes of every client, reserved inputs, data packages, text messages.
+"""RTDE service of the emulated controller: clients' recipes, reserved inputs, data packages, text messages.
 
-Source: UR's RTDE guide; where it is silent, what UR's own clients and `ur_rtde` rely on.
+Source: UR's RTDE guide; where it is silent, the expectations of UR's own clients and `ur_rtde`.
 """
 
 import math
@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import CompileFailed, Event, RuntimeFailed
 from sim_backend.ur_controller.listener import Connection
+from sim_backend.ur_controller.outputs import Outputs
 from wire.rtde.codec import REQUEST_LIMIT, FrameReader, PackageType, Recipe, Value
-from wire.rtde.errors import FramingError, PackageError, Reason
+from wire.rtde.errors import FramingError, PackageError, RtdeErrorReason
 from wire.rtde.fields import INPUTS, OUTPUTS, SINCE, FieldType
 from wire.rtde.messages import (
     PROTOCOL_VERSION,
@@ -27,14 +28,14 @@ from wire.rtde.messages import (
 
 TICK_RATE_HZ = 500
 MAX_INPUT_RECIPES = 255
-"""Of one client: the recipe id is one byte and 0 says that a recipe was refused."""
+"""Input recipes per client: the recipe id is one byte, and 0 means a refused recipe."""
 _SOURCE = "RTDE interface"
-_OUTPUT_RECIPE_ID = 1  # of the only output recipe that a client has
+_OUTPUT_RECIPE_ID = 1  # the only output recipe of a client
 
 
 @dataclass(frozen=True, slots=True)
 class _Outputs:
-    """What one client receives."""
+    """Agreed outputs of one client."""
 
     recipe: Recipe
     getters: tuple[Callable[[], Value], ...]
@@ -43,12 +44,12 @@ class _Outputs:
 
 
 class _Client:
-    """One connection's part of the protocol."""
+    """Protocol state of one connection."""
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
         self.reader = FrameReader(REQUEST_LIMIT)
-        self.version = 1  # until it asks for another
+        self.version = 1  # until the client asks for another
         self.outputs: _Outputs | None = None
         self.inputs: list[Recipe] = []
         self.started = False
@@ -57,19 +58,20 @@ class _Client:
 class RtdeService:
     """Serves RTDE to any number of clients.
 
-    A variable of a client's input recipe is that client's until it disconnects: for others it is IN_USE. Inputs are
-    taken whether or not the client has started its outputs: there are clients that only write. A client that reads
-    slowly misses packages; those it misses are not made up for.
+    A variable of a client's input recipe is reserved for that client until it disconnects; for others it is IN_USE.
+    Inputs are accepted before the client has started its outputs, because some clients only write. A slow reader misses
+    packages, which are not sent later.
 
     Attributes:
         sent: data packages sent.
-        skipped: data packages left out because their client had not read the ones before.
+        skipped: data packages left out because their client had not read the earlier ones.
     """
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Controller, outputs: Outputs) -> None:
         self.sent = 0
         self.skipped = 0
         self._controller = controller
+        self._getters = outputs.getters
         self._version = ControllerVersion(*controller.versions)
         self._clients: dict[Connection, _Client] = {}
         self._holders: dict[str, _Client] = {}
@@ -90,13 +92,13 @@ class RtdeService:
         self._clients[connection] = _Client(connection)
 
     def on_data(self, connection: Connection, data: bytes) -> None:
-        """Carry out what has arrived whole; what is no RTDE ends the connection."""
+        """Handle complete packages; bytes that are not RTDE end the connection."""
         client = self._clients[connection]
         try:
             for kind, payload in client.reader.feed(data):
                 handler = self._handlers.get(kind)
                 if handler is None:
-                    raise PackageError(Reason.UNKNOWN_PACKAGE, f"type {kind} is no package of RTDE")
+                    raise PackageError(RtdeErrorReason.UNKNOWN_PACKAGE, f"RTDE has no package type {kind}")
                 handler(client, payload)
         except (FramingError, PackageError):
             connection.close()
@@ -106,7 +108,7 @@ class RtdeService:
         self._holders = {name: holder for name, holder in self._holders.items() if holder is not client}
 
     def publish(self) -> None:
-        """Send what is due at this tick."""
+        """Send the packages that are due at this tick."""
         self._tick += 1
         for client in self._clients.values():
             outputs = client.outputs
@@ -129,7 +131,7 @@ class RtdeService:
         client.connection.send(self._version.encode())
 
     def _set_up_outputs(self, client: _Client, payload: bytes) -> None:
-        """Agree on an output recipe; one that is refused leaves the one before in force."""
+        """Agree on an output recipe; a refused one leaves the previous one in force."""
         unnumbered = client.version == 1
         try:
             request = OutputsRequest.decode(payload, client.version)
@@ -142,21 +144,21 @@ class RtdeService:
         if accepted:
             client.outputs = _Outputs(
                 recipe=_recipe(request.names, types, None if unnumbered else _OUTPUT_RECIPE_ID),
-                getters=tuple(self._controller.output_getter(name) for name in request.names),
+                getters=tuple(self._getters[name] for name in request.names),
                 every=math.floor(TICK_RATE_HZ / frequency_hz),
             )
         recipe_id = _OUTPUT_RECIPE_ID if accepted else 0
         client.connection.send(SetupReply(types, None if unnumbered else recipe_id).encode(PackageType.SETUP_OUTPUTS))
 
     def _set_up_inputs(self, client: _Client, payload: bytes) -> None:
-        """Agree on one more input recipe; one that is refused reserves nothing and takes no number."""
+        """Agree on one more input recipe; a refused one reserves nothing and takes no number."""
         try:
             names = InputsRequest.decode(payload).names
         except PackageError:  # too many names
             client.connection.send(SetupReply((), 0).encode(PackageType.SETUP_INPUTS))
             return
         types = tuple(
-            Reason.IN_USE if self._holders.get(name, client) is not client else self._type_of(name, INPUTS)
+            RtdeErrorReason.IN_USE if self._holders.get(name, client) is not client else self._type_of(name, INPUTS)
             for name in names
         )
         recipe_id = 0
@@ -188,17 +190,17 @@ class RtdeService:
         self._controller.apply_inputs(recipe.names, values)
 
     def _take_text(self, _client: _Client, payload: bytes) -> None:
-        """A client's message for PolyScope's log, which nobody reads here; it must be one all the same."""
+        """Check a client's message for PolyScope's log, which the emulation does not keep."""
         TextMessage.decode(payload)
 
     def _type_of(self, name: str, table: Mapping[str, FieldType]) -> str:
         kind = table.get(name)
         if kind is None or SINCE.get(name, (0, 0, 0)) > self._version[:3]:
-            return Reason.NOT_FOUND
+            return RtdeErrorReason.NOT_FOUND
         return kind.name
 
     def _on_event(self, event: Event) -> None:
-        """Pass on to clients what went wrong with a program."""
+        """Report a failed program to the clients."""
         if isinstance(event, RuntimeFailed):
             level, text = Level.EXCEPTION, event.text
         elif isinstance(event, CompileFailed):
@@ -209,7 +211,9 @@ class RtdeService:
             self._tell(client, level, text)
 
     def _tell(self, client: _Client, level: Level, text: str) -> None:
-        """Send a text message; none before the start, and none in version 1: it would confuse a set-up under way."""
+        """Send a text message, unless data has not started or in version 1, where it would disturb a set-up
+        under way.
+        """
         if client.started and client.version >= PROTOCOL_VERSION:
             client.connection.send(TextMessage(text, _SOURCE, level).encode())
 

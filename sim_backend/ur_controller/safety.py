@@ -1,6 +1,6 @@
 """Power, brakes and safety modes of an e-Series robot.
 
-The emulation of a robot's safety functions is a model of how they look on the network. It protects nothing.
+This models how a robot's safety functions appear on the network. It protects nothing.
 """
 
 from collections.abc import Callable
@@ -10,12 +10,12 @@ from wire.records import TICK_S
 from wire.rtde.modes import RobotMode, SafetyMode
 
 UNLOCK_AFTER_S = 5.0
-"""A protective stop is not unlocked earlier than this."""
+"""Age before which a protective stop is not unlocked, s."""
 UNLOCK_TOO_EARLY = (
     "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
 )
 ASKED_BY_PROGRAM = "the program has asked for it"
-"""Reason of a protective stop that a script has called for; clients get another error code for it."""
+"""Reason of a protective stop called by a script; clients receive a different error code for it."""
 
 
 EMERGENCIES = (SafetyMode.SYSTEM_EMERGENCY_STOP, SafetyMode.ROBOT_EMERGENCY_STOP)
@@ -36,7 +36,7 @@ _STOPPED_DUE_TO_SAFETY = 1 << 10
 
 @dataclass(frozen=True, slots=True)
 class Durations:
-    """How long the steps of starting up take, s of simulated time; a robot needs several seconds for each."""
+    """Durations of the start-up steps, s of simulated time; a real robot needs several seconds for each."""
 
     power_on_s: float = 0.2
     brake_release_s: float = 0.2
@@ -44,17 +44,17 @@ class Durations:
 
 
 class Safety:
-    """The robot's power and its reasons to stand still; every method takes effect at once unless it says otherwise.
+    """Power and reasons to stand still; every method takes effect at once unless it says otherwise.
 
-    Several reasons may hold at a time; the mode is the gravest of them.
+    Several reasons may hold at a time; the mode is that of the gravest.
 
     Args:
-        durations: of the steps that take time.
-        announce: hears of every change of the safety mode, with the reason.
+        durations: durations of the steps that take time.
+        announce: called with every new safety mode and its reason.
 
     Attributes:
-        robot_mode: at first RUNNING, powered with the brakes released.
-        safety_mode: at first NORMAL.
+        robot_mode: initially RUNNING, powered with the brakes released.
+        safety_mode: initially NORMAL.
     """
 
     def __init__(self, durations: Durations, announce: Callable[[SafetyMode, str], None]) -> None:
@@ -70,31 +70,31 @@ class Safety:
 
     @property
     def may_move(self) -> bool:
-        """Powered, brakes released, and no reason to stand still."""
+        """The joints are powered, the brakes released, and there is no reason to stand still."""
         return self.robot_mode is RobotMode.RUNNING and not self._reasons
 
     @property
     def is_powered(self) -> bool:
-        """Whether the joints have power."""
+        """The joints have power."""
         return self.robot_mode >= RobotMode.POWER_ON
 
     @property
     def status_bits(self) -> int:
-        """`safety_status_bits`."""
+        """Value of RTDE's `safety_status_bits`."""
         return _MODE_BIT[self.safety_mode] | (_STOPPED_DUE_TO_SAFETY if self._reasons else 0)
 
     def power_on(self) -> None:
-        """Power the joints, which takes time and ends at IDLE; nothing where they have power or must not get any."""
+        """Power the joints, which takes time and ends at IDLE. No effect if they have power or must not get it."""
         if self.robot_mode is RobotMode.POWER_OFF and self.safety_mode not in _UNPOWERED:
             self._begin(RobotMode.BOOTING, RobotMode.IDLE, self._durations.power_on_s)
 
     def power_off(self) -> None:
-        """Take the power from the joints; the brakes hold them."""
+        """Remove power from the joints; the brakes hold them."""
         self._release, self._next = False, None
         self.robot_mode = RobotMode.POWER_OFF
 
     def brake_release(self) -> None:
-        """Release the brakes, which takes time and ends at RUNNING; powers on before where that is needed."""
+        """Release the brakes, which takes time and ends at RUNNING; power on first if needed."""
         self.power_on()
         if self.robot_mode is RobotMode.IDLE and self._next is None:
             self._begin(RobotMode.IDLE, RobotMode.RUNNING, self._durations.brake_release_s)
@@ -102,13 +102,13 @@ class Safety:
             self._release = self.robot_mode is RobotMode.BOOTING and self._next is RobotMode.IDLE
 
     def protective_stop(self, reason: str) -> None:
-        """Stand still until somebody unlocks."""
+        """Stand still until the stop is unlocked."""
         if SafetyMode.PROTECTIVE_STOP not in self._reasons:
             self._protective_ticks = 0
         self._add(SafetyMode.PROTECTIVE_STOP, reason)
 
     def unlock_protective_stop(self, *, at_once: bool = False) -> bool:
-        """Leave a protective stop; returns False, and changes nothing, when it is too young and not `at_once`."""
+        """Leave a protective stop; return False, and change nothing, if it is too young and not `at_once`."""
         if SafetyMode.PROTECTIVE_STOP in self._reasons:
             if not at_once and self._protective_ticks * TICK_S < UNLOCK_AFTER_S:
                 return False
@@ -116,12 +116,12 @@ class Safety:
         return True
 
     def press_emergency_stop(self, *, system: bool = False) -> None:
-        """Press the emergency stop, the robot's own or the system's; the joints lose their power."""
+        """Press the emergency stop of the robot or of the system; the joints lose their power."""
         self._add(EMERGENCIES[not system], "emergency stop")
         self.power_off()
 
     def release_emergency_stop(self) -> None:
-        """Release both; the robot has to be powered on again."""
+        """Release both emergency stops; the robot must be powered on again."""
         self._remove(SafetyMode.ROBOT_EMERGENCY_STOP, "emergency stop released")
         self._remove(SafetyMode.SYSTEM_EMERGENCY_STOP, "emergency stop released")
 
@@ -130,28 +130,28 @@ class Safety:
         self._add(SafetyMode.SAFEGUARD_STOP, "safeguard open")
 
     def close_safeguard(self) -> None:
-        """Close it; the robot may move again."""
+        """Close the safeguard's circuit; the robot may move again."""
         self._remove(SafetyMode.SAFEGUARD_STOP, "safeguard closed")
 
     def violate(self, reason: str) -> None:
-        """Trip a safety limit: the joints lose their power until safety is restarted."""
+        """Trip a safety limit; the joints have no power until safety is restarted."""
         self._add(SafetyMode.VIOLATION, reason)
         self.power_off()
 
     def fault(self, reason: str) -> None:
-        """Fail: as a violation."""
+        """Report a fault; the effect is that of a violation."""
         self._add(SafetyMode.FAULT, reason)
         self.power_off()
 
     def restart(self) -> None:
-        """Restart the safety system: forgets violation, fault and protective stop; takes time, ends powered off."""
+        """Restart the safety system: clear violation, fault and protective stop; takes time and ends powered off."""
         self._reasons -= {SafetyMode.VIOLATION, SafetyMode.FAULT, SafetyMode.PROTECTIVE_STOP}
         self.power_off()
         self._begin(RobotMode.BOOTING, RobotMode.POWER_OFF, self._durations.restart_safety_s)
         self._update("safety restarted")
 
     def tick(self) -> None:
-        """Let 2 ms pass."""
+        """Advance by 2 ms."""
         self._protective_ticks += 1
         if self._next is None:
             return

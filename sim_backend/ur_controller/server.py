@@ -1,4 +1,4 @@
-"""The emulated controller on the network: every port of it and its 2 ms tick, on one thread."""
+"""The emulated controller on the network: its ports and its 2 ms tick, on one thread."""
 
 from dataclasses import dataclass, fields
 from typing import Protocol
@@ -8,6 +8,7 @@ from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.dashboard_server import DashboardService
 from sim_backend.ur_controller.gripper_server import Gripper, GripperService
 from sim_backend.ur_controller.listener import Listener, Service
+from sim_backend.ur_controller.outputs import Outputs
 from sim_backend.ur_controller.primary_server import PrimaryService
 from sim_backend.ur_controller.rtde_server import RtdeService
 from wire.primary import packages, realtime
@@ -18,7 +19,7 @@ from wire.rtde import messages
 
 @dataclass(frozen=True, slots=True)
 class Ports:
-    """TCP ports, as an e-Series controller and a gripper's URCap have them; 0 takes a free one."""
+    """TCP ports of an e-Series controller and of a gripper's URCap; 0 selects a free port."""
 
     rtde: int = messages.PORT
     dashboard: int = 29999
@@ -29,12 +30,12 @@ class Ports:
 
 
 ANY_PORTS = Ports(*[0] * len(fields(Ports)))
-"""Free ports throughout, for several controllers at one address."""
+"""Free ports only, for several controllers at one address."""
 
 
 @dataclass(slots=True)
 class Counters:
-    """What became of ticks since the start, and of data packages."""
+    """Counts of ticks and data packages since the start."""
 
     ticks: int = 0
     overruns: int = 0
@@ -44,46 +45,47 @@ class Counters:
     rtde_skipped: int = 0
 
 
-class Stage(Protocol):
-    """What surrounds the arm and shares its thread: called once per tick, after it."""
+class TickCompanion(Protocol):
+    """Companion of the arm on the controller's thread, called once after every tick."""
 
     def step(self) -> bool:
-        """Return whether it did something that takes longer than a tick."""
+        """Return True if the call took longer than a tick."""
         ...
 
 
 class ControllerServer:
-    """Serves one controller. Everything happens in the thread that calls, in `step` or `run`.
+    """Serves one controller. Everything happens in the calling thread, in `step` or `run`.
 
     Attributes:
-        ports: at which it listens.
-        counters: of ticks and packages; lateness only under `run`.
-        gripper: the one at the arm's tool.
+        ports: ports in use.
+        counters: counts of ticks and packages; lateness only under `run`.
+        gripper: gripper at the arm's tool.
     """
 
     def __init__(self, controller: Controller, host: str = "127.0.0.1", ports: Ports = Ports()) -> None:
         """Listen at every port.
 
         Args:
-            controller: is ticked from here on by `step` or `run` only.
+            controller: controller; from here on only `step` or `run` tick it.
             host: address of this machine to listen at.
-            ports: wanted.
+            ports: requested ports.
 
         Raises:
-            ListenError: one of them cannot be listened at; none is, then.
+            ListenError: listening at one port fails; none is open then.
         """
         self.counters = Counters()
         self.gripper = Gripper()
         self._controller = controller
         self._listener = Listener()
-        self._rtde = RtdeService(controller)
+        outputs = Outputs(controller)
+        self._rtde = RtdeService(controller, outputs)
         self._dashboard = DashboardService(controller)
         services: dict[str, Service] = {
             "rtde": self._rtde,
             "dashboard": self._dashboard,
-            "primary": PrimaryService(controller, "primary"),
-            "secondary": PrimaryService(controller, "secondary"),
-            "realtime": PrimaryService(controller, "realtime"),
+            "primary": PrimaryService(controller, outputs, "primary"),
+            "secondary": PrimaryService(controller, outputs, "secondary"),
+            "realtime": PrimaryService(controller, outputs, "realtime"),
             "gripper": GripperService(self.gripper),
         }
         try:
@@ -96,21 +98,21 @@ class ControllerServer:
         self.ports = Ports(**found)
 
     def poll(self) -> None:
-        """Handle what clients have sent; lets no time pass."""
+        """Handle the requests that have arrived; no time passes."""
         self._listener.poll()
 
     def step(self) -> None:
-        """One tick: what has arrived, 2 ms of the controller and its arm, what clients are to be told."""
+        """Run one tick: handle requests, advance the controller and its arm by 2 ms, publish to clients."""
         self._listener.poll()
         self._controller.tick()
         self._listener.publish()
         self.counters.ticks += 1
 
-    def run(self, stage: Stage | None = None) -> None:
-        """Step every 2 ms by the wall clock, until an exception ends it or a client shuts the controller down.
+    def run(self, companion: TickCompanion | None = None) -> None:
+        """Step every 2 ms by the wall clock, until an exception or until a client shuts the controller down.
 
         Args:
-            stage: stepped after every tick.
+            companion: called after every tick.
         """
         freeze_garbage()
         metronome = Metronome(TICK_S, spin=has_realtime_scheduling())
@@ -118,7 +120,7 @@ class ControllerServer:
             metronome.wait()
             self.step()
             self._count(metronome)
-            if stage is not None and stage.step():
+            if companion is not None and companion.step():
                 metronome.restart()
 
     def close(self) -> None:

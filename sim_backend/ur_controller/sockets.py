@@ -1,6 +1,6 @@
-"""TCP connections that programs have opened: a program connects out, nothing here listens.
+"""TCP connections that programs have opened; a program connects out, nothing here listens.
 
-Waiting is counted in ticks, so that a world that runs faster than the clock runs its timeouts faster too.
+Waiting is counted in ticks, so the timeouts of a world faster than the clock are faster too.
 """
 
 import contextlib
@@ -14,13 +14,13 @@ from wire.records import TICK_S
 OPEN_TIMEOUT_S = 2.0
 MOST_SOCKETS = 16
 LARGEST_BUFFER = 65_536
-"""Bytes kept of what a peer sends and no program reads; more waits on the network."""
+"""Bytes kept until a program reads them; more wait on the network."""
 
 _FRESH = 4096
 
 
 class Connection:
-    """One open connection with what has arrived on it."""
+    """One open connection and the bytes that have arrived on it."""
 
     def __init__(self, peer: socket.socket) -> None:
         self._peer = peer
@@ -28,7 +28,7 @@ class Connection:
         self.is_open = True
 
     def receive(self) -> None:
-        """Take what has arrived, as far as there is room for it."""
+        """Receive bytes as far as the buffer has room."""
         room = LARGEST_BUFFER - len(self.buffer)
         if not self.is_open or room <= 0:
             return
@@ -44,7 +44,7 @@ class Connection:
             self.close()
 
     def send(self, data: bytes) -> bool:
-        """Send all of it; a peer that does not take it loses the connection."""
+        """Send all bytes; a peer that does not take them loses the connection."""
         try:
             sent = self._peer.send(data) if self.is_open else 0
         except OSError:
@@ -55,33 +55,33 @@ class Connection:
         return False
 
     def take(self, count: int) -> bytes:
-        """The first `count` bytes of the buffer, which loses them."""
+        """Remove the first `count` bytes from the buffer and return them."""
         data = bytes(self.buffer[:count])
         del self.buffer[:count]
         return data
 
     def close(self) -> None:
-        """Close; what has arrived can still be read."""
+        """Close; bytes that have arrived can still be read."""
         self.is_open = False
         self._peer.close()
 
 
 class Sockets:
-    """The connections of a program, by the names that it gave them."""
+    """The connections of a program by the names that it gave them."""
 
     def __init__(self) -> None:
         self._connections: dict[str, Connection] = {}
 
     def get(self, name: str) -> Connection | None:
-        """The connection of that name, or None."""
+        """Return the connection of that name, or None."""
         return self._connections.get(name)
 
     def open(self, address: str, port: int, name: str) -> Generator[None, None, bool]:
-        """Connect, tick by tick; returns whether it succeeded. A connection of the same name is closed before."""
+        """Connect, tick by tick; return True on success. An earlier connection of the same name is closed first."""
         self.close(name)
         host = "127.0.0.1" if address == "localhost" else address
         try:
-            ipaddress.IPv4Address(host)  # resolving a name would hold up the tick
+            ipaddress.IPv4Address(host)  # resolving a name would delay the tick
         except ValueError:
             return False
         if not 0 < port < 65_536 or len(self._connections) >= MOST_SOCKETS:
@@ -94,7 +94,7 @@ class Sockets:
             with contextlib.suppress(BlockingIOError):
                 peer.connect((host, port))
             for _ in range(round(OPEN_TIMEOUT_S / TICK_S)):
-                yield  # a handshake takes time on every network, and peers count on the order of several
+                yield  # a handshake takes time on every network, and peers count on several ticks
                 if select.select((), (peer,), (), 0.0)[1]:
                     kept = peer.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) == 0
                     break
@@ -114,6 +114,6 @@ class Sockets:
             connection.close()
 
     def close_all(self) -> None:
-        """Close all of them: their program has ended."""
+        """Close all connections, because their program has ended."""
         for name in [*self._connections]:
             self.close(name)

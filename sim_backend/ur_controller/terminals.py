@@ -1,4 +1,4 @@
-"""Digital and analog terminals: of the control box, the configurable ones, and the tool's.
+"""Digital and analog terminals of the control box, the configurable ones, and the tool's.
 
 Numbering is that of RTDE's bit fields: standard 0–7, configurable 8–15, tool 16 and 17.
 """
@@ -14,7 +14,7 @@ TOOL_VOLTAGES = (0, 12, 24)
 
 
 class Terminals:
-    """State of all terminals. A fresh box has everything low, and nothing is connected: inputs keep what is set here.
+    """State of all terminals. Initially everything is low. Nothing is connected: inputs keep the values set here.
 
     Attributes:
         digital_inputs: bits 0–17.
@@ -22,8 +22,8 @@ class Terminals:
         analog_inputs: control box 0 and 1, tool 0 and 1, in A or V by domain.
         analog_outputs: control box 0 and 1, A or V by domain.
         analog_input_domains: `CURRENT` or `VOLTAGE`, in the order of `analog_inputs`.
-        analog_output_domains: likewise, in the order of `analog_outputs`.
-        tool_voltage: 0, 12 or 24.
+        analog_output_domains: `CURRENT` or `VOLTAGE`, in the order of `analog_outputs`.
+        tool_voltage: 0, 12 or 24 V.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class Terminals:
         self.tool_voltage = 0
 
     def write_digital(self, first: int, mask: int, values: int) -> None:
-        """Set the outputs from `first` on whose bit in `mask` is 1 to their bit in `values`."""
+        """Set outputs, counted from `first`: where a bit of `mask` is 1, to the bit of `values`."""
         self.digital_outputs = self.digital_outputs & ~(mask << first) | (values & mask) << first
 
     def set_digital_output(self, number: int, high: bool) -> None:
@@ -44,25 +44,25 @@ class Terminals:
         self.write_digital(number, 1, int(high))
 
     def write_analog(self, number: int, share: float) -> None:
-        """Set one analog output to a share of its full scale; below 0 and above 1 count as these."""
-        share = min(max(share, 0.0), 1.0) if share == share else 0.0  # NaN comes over the network
+        """Set one analog output to a share of its full scale; values outside 0 … 1 are clamped."""
+        share = min(max(share, 0.0), 1.0) if share == share else 0.0  # NaN can come over the network
         first, last = RANGES[self.analog_output_domains[number]]
         self.analog_outputs[number] = first + share * (last - first)
 
     @property
     def analog_types(self) -> int:
-        """`analog_io_types`: bits 0–1 inputs, 2–3 outputs, 1 for voltage."""
+        """Value of `analog_io_types`: bits 0–1 inputs, 2–3 outputs, 1 for voltage."""
         domains = (*self.analog_input_domains[:2], *self.analog_output_domains)
         return sum(domain << bit for bit, domain in enumerate(domains))
 
     @property
     def tool_analog_types(self) -> int:
-        """`tool_analog_input_types`."""
+        """Value of `tool_analog_input_types`."""
         return self.analog_input_domains[2] | self.analog_input_domains[3] << 1
 
 
 class TerminalInputs:
-    """RTDE's masked writes of outputs: a value counts where a mask of the same package says so."""
+    """RTDE's masked writes of outputs: a value applies only if a mask in the same package selects it."""
 
     def __init__(self, terminals: Terminals, set_speed: Callable[[float], None]) -> None:
         self._terminals = terminals
@@ -70,7 +70,7 @@ class TerminalInputs:
         self.values: dict[str, float] = {}
 
     def apply(self, names: tuple[str, ...]) -> None:
-        """Carry out the masks among `names`, the variables of the package that has just been stored in `values`."""
+        """Apply the masks among `names`, the variables of the package just stored in `values`."""
         values, terminals = self.values, self._terminals
         for name in names:
             if not name.endswith("_mask"):

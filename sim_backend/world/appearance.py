@@ -1,7 +1,8 @@
-"""How the cell looks: shapes, materials, lights and cameras for pictures, none of which the physics knows.
+"""Appearance of the cell: shapes, materials, lights and cameras for pictures; the physics uses none of them.
 
-A dressed scene has the bodies and joints of the plain one, so the state of a simulation fits both. Shapes follow the
-UR3e's silhouette (link offsets along the joints are UR's, read off its centres of mass) and a two-finger gripper's.
+A dressed scene has the bodies and joints of the plain one, so one simulation state fits both. The shapes follow the
+silhouette of the UR3e and of a two-finger gripper. Link offsets along the joints are UR's, derived from the centres of
+mass.
 """
 
 import math
@@ -18,14 +19,14 @@ from wire.arrays import FloatArray
 CAMERAS = ("overview", "side", "hole", "wrist")
 
 _HIDDEN_GROUP = 3
-"""MuJoCo draws groups 0 to 2 unless told otherwise."""
+"""Group that MuJoCo does not draw; it draws groups 0 to 2 by default."""
 _UNTOUCHED: dict[str, Any] = {"contype": 0, "conaffinity": 0, "group": 1, "mass": 0}
 _BLOCK_HALF_WIDTH_M = 0.075
 _TABLE_THICKNESS_M = 0.04
 _FLOOR_Z_M = -0.72
 _PLATE_HALF_SIZE_M = (0.024, 0.060)
 _MODULE_PIXELS = 16
-"""Texture pixels along a marker's module: one alone would be blurred by filtering."""
+"""Texture pixels along a marker's module; filtering would blur a single one."""
 _MATERIALS = {
     #        colour, specular, shininess, reflectance
     "shell": ((0.78, 0.80, 0.82), 0.45, 0.55, 0.0),
@@ -39,16 +40,16 @@ _MATERIALS = {
     "peg": ((0.93, 0.47, 0.10), 0.35, 0.45, 0.0),
 }
 _MARKERS = ((181, 50), (15, 154))
-"""Bits of two 4 x 4 markers, row by row from the top left, 1 is white: numbers 0 and 1 of ArUco's 4x4 dictionaries."""
+"""Bits of two 4 x 4 markers, row by row from the top left; 1 is white. Numbers 0 and 1 of ArUco's 4x4 dictionaries."""
 
 
 def dress(spec: mujoco.MjSpec, part_name: str, clearance_m: float) -> None:
-    """Add everything that is only looked at to a plain scene, and hide its collision shapes except the peg's.
+    """Add everything visual to a plain scene, and hide its collision shapes except the peg's.
 
     Args:
-        spec: from `scene.specify`, with the same part and clearance.
-        part_name: the peg and its hole.
-        clearance_m: per face.
+        spec: specification from `scene.specify`, with the same part and clearance.
+        part_name: name of the peg and its hole.
+        clearance_m: clearance per face, m.
     """
     part = PARTS[part_name]
     for name, (colour, specular, shininess, reflectance) in _MATERIALS.items():
@@ -107,7 +108,9 @@ def _add_room(spec: mujoco.MjSpec) -> None:
 
 
 def _add_block(spec: mujoco.MjSpec, part: Part, clearance_m: float) -> None:
-    """A block whose hole is the collision walls' own outline, in one convex wedge per wall; a base, a post, markers."""
+    """Add a block, a base, a post and markers; the block's hole has the outline of the collision walls, one convex
+    wedge per wall.
+    """
     block = spec.body("block")
     for index, wedge in enumerate(_wedges(part, clearance_m)):
         vertices = [np.column_stack([wedge, np.full(len(wedge), z)]) for z in (0.0, -HOLE_DEPTH_M)]
@@ -166,7 +169,7 @@ def _marker(bits: tuple[int, int]) -> npt.NDArray[np.uint8]:
 
 
 def _add_arm(spec: mujoco.MjSpec) -> None:
-    """Housings along each joint's axis, tubes between them, in the frames of the links."""
+    """Add housings along each joint's axis and tubes between them, in the frames of the links."""
     shoulder_z, upper_x, fore_x = 0.15185, -0.24355, -0.2132
     upper_z, fore_z, wrist_1_z, wrist_2_z, flange_z = 0.120, 0.027, 0.13105, 0.08535, 0.0921
     base = spec.worldbody
@@ -205,7 +208,7 @@ def _add_arm(spec: mujoco.MjSpec) -> None:
 
 
 def _housing(link: Any, centre: list[float], radius: float, half_length: float, *, flip: bool = False) -> None:
-    """A joint's housing about its axis z, with a cap on the side away from the next link."""
+    """Add a joint's housing about its z axis, with a cap on the side away from the next link."""
     x, y, z = centre
     _cylinder(link, [x, y, z - half_length], [x, y, z + half_length], radius, "joint")
     end = -1 if flip else 1
@@ -213,7 +216,7 @@ def _housing(link: Any, centre: list[float], radius: float, half_length: float, 
 
 
 def _add_gripper(spec: mujoco.MjSpec, part: Part) -> None:
-    """A round body, two fingers of two links each, pads that touch the peg's sides."""
+    """Add a round body, two fingers of two links each, and pads that touch the peg's sides."""
     gripper = spec.body("gripper")
     _cylinder(gripper, [0, 0, 0], [0, 0, 0.012], 0.0375, "aluminium")
     _cylinder(gripper, [0, 0, 0.012], [0, 0, 0.060], 0.0375, "rubber")
@@ -272,6 +275,6 @@ def _sphere(body: Any, centre: list[float], radius: float, material: str) -> Non
 
 
 def _disc(body: Any, centre: list[float], normal: list[float], radius: float, material: str) -> None:
-    """A flat cap, 4 mm thick, its middle at `centre`."""
+    """Add a flat cap, 4 mm thick, centred at `centre`."""
     half = 0.002 * np.array(normal)
     _cylinder(body, list(np.array(centre) - half), list(np.array(centre) + half), radius, material)

@@ -1,7 +1,7 @@
-"""What varies from episode to episode, and how: the standard conditions, written out in `docs/reference/conditions.md`.
+"""Variation from episode to episode: the standard conditions, which `docs/reference/conditions.md` describes in full.
 
-Where the paper is silent the values come from its author's code and logs. One seed draws one episode, in a fixed order,
-so that a seed means the same world in training, in a test and through the deployed service.
+Values on which the paper is silent come from its author's code and logs. One seed draws one episode, in a fixed order,
+so a seed means the same world in training, in a test and through the deployed service.
 """
 
 from dataclasses import dataclass
@@ -20,18 +20,18 @@ TORQUE_DRIFT_NM_PER_S = 0.001
 ESTIMATE_JITTER_M = 0.17e-3
 FRICTION = 0.3
 CONTACT_TIMES_S = (6e-3, 14e-3)
-"""Least and largest time constant of contact where the plant is randomised."""
+"""Smallest and largest time constant of contact of a randomised plant, s."""
 NOISE_ROWS = 4096
-"""Ticks of sensor noise drawn per episode; an episode longer than that (8.2 s) hears it again."""
+"""Ticks of sensor noise drawn per episode; an episode longer than that (8.2 s) repeats it."""
 CAMERA_FRAMES = 64
-"""Frames of the camera's jitter drawn per episode; a longer one sees them again."""
+"""Frames of camera jitter drawn per episode; a longer episode repeats them."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Distributions:
-    """What conditions differ in; the plant's values hold where a task does not randomise it.
+    """Differences between conditions; the plant's values apply when a task does not randomise it.
 
-    `sensor_delay`: ticks; None: drawn. `bias_scale`: factor on the sensor's bias.
+    `sensor_delay`: ticks; None draws it. `bias_scale`: factor on the sensor's bias.
     """
 
     hole_half_range_m: tuple[float, float, float] = (0.050, 0.035, 0.030)
@@ -69,18 +69,19 @@ class Episode:
 
     Attributes:
         hole_position: (3,) centre of the mouth.
-        hole_yaw: about the matching yaw of the start pose; observed by nobody.
-        estimate_offset: (3,) constant error of the camera's estimate in this episode.
-        grasp_offset: (2,) of the peg's axis in the tool frame.
+        hole_yaw: yaw relative to the matching yaw of the start pose; not observed.
+        estimate_offset: (3,) constant error of the camera's estimate.
+        grasp_offset: (2,) offset of the peg's axis in the tool frame.
         hover_m: height above the estimate at which the scripted approach ends.
-        friction: sliding, peg on block.
-        stiffness_scale: of the compliance law and the fingers, relative to nominal.
-        mass_scale: of the gripper and the peg.
-        contact_time_s: time constant of contact (`solref`); its stiffness goes with the inverse of the square.
-        sensor_delay: ticks from force to sample: drawn from 1–4 (2–8 ms), unless the task or its conditions name it.
+        friction: sliding friction of peg on block.
+        stiffness_scale: stiffness of the compliance law and the fingers, relative to nominal.
+        mass_scale: mass of the gripper and the peg, relative to nominal.
+        contact_time_s: time constant of contact (`solref`); the contact's stiffness is proportional to its inverse
+            square.
+        sensor_delay: ticks from force to sample: drawn from 1–4 (2–8 ms) unless the task or its conditions set it.
         target_delay: ticks from a target's arrival to its effect.
-        bias: (6,) of the raw sensor, N and N·m.
-        drift: (6,) of that bias, per second.
+        bias: (6,) bias of the raw sensor, N and N·m.
+        drift: (6,) change of that bias per second.
         wrench_noise: (NOISE_ROWS, 6) float32, N and N·m, one row per tick.
         estimate_noise: (CAMERA_FRAMES, 3) jitter of the estimate, one row per camera frame.
     """
@@ -103,7 +104,7 @@ class Episode:
 
 
 def draw(task: Task) -> Episode:
-    """Draw the episode that `task.seed` means under `task.conditions`."""
+    """Draw the episode of `task.seed` under `task.conditions`."""
     rng = np.random.default_rng(np.random.SeedSequence(task.seed))
     ranges = _CONDITIONS[task.conditions]
     half = np.array(ranges.hole_half_range_m)
@@ -144,5 +145,5 @@ def draw(task: Task) -> Episode:
 
 
 def _contact_time(seed: int) -> float:
-    """Draw it apart from everything else, which therefore is what it was before contact varied."""
+    """Draw the contact time from a stream of its own, so the other draws of a seed do not depend on it."""
     return float(np.random.default_rng([seed, 2]).uniform(*CONTACT_TIMES_S))

@@ -1,11 +1,11 @@
 """Kinematics of the UR3e: constants, forward and inverse kinematics, Jacobian, distance to singularities.
 
-Denavit-Hartenberg table, link masses and centres of mass are Universal Robots' published DH parameters of the UR3e;
-inertias are the cylinder approximations of UR's ROS description; limits are those of the data sheet. No arm is exactly
-nominal: a real one is read out with its calibration.
+The Denavit-Hartenberg table, link masses and centres of mass are Universal Robots' published DH parameters of the UR3e.
+Inertias are the cylinder approximations of UR's ROS description; limits are those of the data sheet. A real arm
+deviates from the nominal values; its calibration is read from the arm.
 
-Base frame as the controller's: z up, joint 1 about z. Positions in m, joint angles in rad. All functions take any batch
-shape. The flange is the DH frame 6.
+The base frame is the controller's: z up, joint 1 about z. Positions in m, joint angles in rad. All functions take any
+batch shape. The flange is the DH frame 6.
 """
 
 import math
@@ -17,11 +17,11 @@ import numpy.typing as npt
 from wire.arrays import BoolArray, FloatArray
 
 GRAVITY_M_S2 = 9.81
-"""Along the base's -z: the arm stands upright."""
+"""Gravity along the base's -z: the arm stands upright."""
 
 
 class KinematicsError(ValueError):
-    """A pose that the arm cannot take; the text names the pose."""
+    """A pose that the arm cannot reach; the text names the pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +32,10 @@ class Joint:
         a_m: DH link length.
         d_m: DH link offset.
         alpha_rad: DH link twist.
-        mass_kg: of the link.
+        mass_kg: mass of the link.
         com_m: centre of mass of the link, in the DH frame that moves with it.
         inertia_kg_m2: principal inertias about the centre of mass, along the axes of that frame.
-        range_rad: the joint may turn by plus and minus this; infinite for a joint without end stops.
+        range_rad: largest angle to either side; infinite for a joint without end stops.
         speed_rad_s: largest speed.
         torque_nm: largest torque.
     """
@@ -63,7 +63,7 @@ UR3E: tuple[Joint, ...] = (
     Joint(0.0, 0.08535, -_UPRIGHT, 0.805, (0.0, 0.0, 0.01), (0.00209, 0.00209, 0.00225), _TURN, _FAST, 9.0),
     Joint(0.0, 0.0921, 0.0, 0.261, (0.0, 0.0, -0.02), (0.000136, 0.000136, 0.000179), math.inf, _FAST, 9.0),
 )
-"""Base to flange."""
+"""Frames from base to flange."""
 
 RATED_PAYLOAD_KG = 3.0
 JOINT_RANGE_RAD: FloatArray = np.array([joint.range_rad for joint in UR3E])
@@ -74,7 +74,7 @@ for _constant in (JOINT_RANGE_RAD, JOINT_SPEED_RAD_S, JOINT_TORQUE_NM):
 
 _D1, _D4, _D5, _D6 = UR3E[0].d_m, UR3E[3].d_m, UR3E[4].d_m, UR3E[5].d_m
 _A2, _A3 = UR3E[1].a_m, UR3E[2].a_m
-_EDGE = 1e-9  # rounding allowed at the rim of the workspace, in sines and cosines
+_EDGE = 1e-9  # rounding tolerance at the rim of the workspace, in sines and cosines
 
 
 def forward(q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -96,7 +96,7 @@ def jacobian(q: npt.ArrayLike, tool_offset: npt.ArrayLike) -> FloatArray:
 
 
 def forward_and_jacobian(q: npt.ArrayLike, tool_offset: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the flange's position and rotation as `forward` and the Jacobian as `jacobian`, at the cost of one."""
+    """Return the flange's pose as `forward` and the Jacobian as `jacobian`, at the cost of one of them."""
     chain = _Chain(q)
     position, rotation = chain.flange()
     offset = np.asarray(tool_offset, np.float64)
@@ -105,11 +105,11 @@ def forward_and_jacobian(q: npt.ArrayLike, tool_offset: npt.ArrayLike) -> tuple[
 
 
 def singularity_margin(q: npt.ArrayLike) -> FloatArray:
-    """Return how far joint angles (..., 6) are from the three singularities: (..., 3), each 0 (singular) … 1.
+    """Return the distances of joint angles (..., 6) from the three singularities: (..., 3), each 0 (singular) … 1.
 
     In order: shoulder (wrist centre above the base axis, as a fraction of its largest distance), elbow (arm straight,
     |sin q3|), wrist (joints 4 and 6 in line, |sin q5|). The determinant of the Jacobian is their product times a
-    constant, so the smallest one says which singularity is near.
+    constant, so the smallest value identifies the nearest singularity.
     """
     chain = _Chain(q)
     angles = np.asarray(q, np.float64)
@@ -121,11 +121,11 @@ def inverse(position: npt.ArrayLike, rotation: npt.ArrayLike, q_near: npt.ArrayL
     """Return the joint angles (..., 6) nearest to `q_near` that bring the flange to a pose.
 
     Args:
-        position: (..., 3) of the flange, base frame.
-        rotation: (..., 3, 3) of the flange.
-        q_near: (..., 6) joint angles to stay near to, within the joint range. With the wrist singular, joint 6 keeps
-            its value, even where only another one would do. Next to a limit the nearest solution can be a whole turn
-            or another branch away, so a caller that follows a path has to check the step it gets.
+        position: (..., 3) position of the flange, base frame.
+        rotation: (..., 3, 3) orientation of the flange.
+        q_near: (..., 6) preferred joint angles, within the joint range. With the wrist singular, joint 6 keeps its
+            value, even if only another value has a solution. Next to a limit the nearest solution can be a whole turn
+            or another branch away, so a caller that follows a path must check the returned step.
 
     Raises:
         KinematicsError: a pose has no solution within the joint range.
@@ -144,12 +144,14 @@ def inverse(position: npt.ArrayLike, rotation: npt.ArrayLike, q_near: npt.ArrayL
 def inverse_where_found(
     position: npt.ArrayLike, rotation: npt.ArrayLike, q_near: npt.ArrayLike
 ) -> tuple[FloatArray, BoolArray]:
-    """As `inverse`, but return the mask (...) of poses with a solution too; without one the angles are `q_near`."""
+    """Return the result of `inverse` and the mask (...) of poses with a solution; without one the angles are
+    `q_near`.
+    """
     near = np.asarray(q_near, np.float64)
     candidates, valid = _branches(np.asarray(position, np.float64), np.asarray(rotation, np.float64), near)
     reference = near[..., None, :]
     candidates = reference + np.remainder(candidates - reference + np.pi, _TURN) - np.pi
-    # A whole turn brings back what the nearest wrap took beyond the joint's range.
+    # A whole turn brings an angle that the nearest wrap moved out of the joint's range back into it.
     candidates -= _TURN * np.sign(candidates) * (np.abs(candidates) > JOINT_RANGE_RAD)
     distance = ((candidates - reference) ** 2).sum(-1)
     distance = np.where(valid & np.isfinite(distance), distance, np.inf)
@@ -167,7 +169,7 @@ def _branches(position: FloatArray, rotation: FloatArray, near: FloatArray) -> t
     bend = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
     x_axis, y_axis, z_axis = (rotation[..., None, :, i] for i in range(3))
 
-    # Shoulder: the wrist lies beside the arm's vertical plane by d4.
+    # Shoulder: the wrist is offset from the arm's vertical plane by d4.
     wrist = position[..., None, :] - _D6 * z_axis
     radius = np.hypot(wrist[..., 0], wrist[..., 1])
     ratio = _D4 / np.maximum(radius, 1e-12)
@@ -176,7 +178,7 @@ def _branches(position: FloatArray, rotation: FloatArray, near: FloatArray) -> t
     q1 = np.arctan2(wrist[..., 1], wrist[..., 0]) + np.where(side > 0.0, lean, np.pi - lean)
     s1, c1 = np.sin(q1), np.cos(q1)
 
-    # Wrist: the flange's axes seen along the plane's normal (s1, -c1, 0).
+    # Wrist: the flange's axes along the plane's normal (s1, -c1, 0).
     along_x = x_axis[..., 0] * s1 - x_axis[..., 1] * c1
     along_y = y_axis[..., 0] * s1 - y_axis[..., 1] * c1
     along_z = z_axis[..., 0] * s1 - z_axis[..., 1] * c1
@@ -204,7 +206,7 @@ def _branches(position: FloatArray, rotation: FloatArray, near: FloatArray) -> t
 
 
 class _Chain:
-    """Sines, cosines and in-plane coordinates of the arm: joints 2, 3 and 4 turn in one vertical plane."""
+    """Sines, cosines and in-plane coordinates of the arm; joints 2, 3 and 4 turn in one vertical plane."""
 
     __slots__ = ("c1", "c5", "c6", "c234", "elbow_x", "elbow_z", "s1", "s5", "s6", "s234", "wrist_x", "wrist_z")
 
@@ -246,12 +248,12 @@ class _Chain:
         return position, rotation
 
     def jacobian(self, point: FloatArray) -> FloatArray:
-        """Return (..., 6, 6) at `point` (..., 3), base frame."""
+        """Return the Jacobian (..., 6, 6) at `point` (..., 3), base frame."""
         s1, c1 = self.s1, self.c1
         x, y, z = point[..., 0], point[..., 1], point[..., 2]
         result = np.zeros((*np.broadcast_shapes(point.shape[:-1], s1.shape), 6, 6))
         result[..., 0, 0], result[..., 1, 0], result[..., 5, 0] = -y, x, 1.0
-        reach = x * c1 + y * s1  # the point in the arm's plane, where joints 2 to 4 turn it
+        reach = x * c1 + y * s1  # the point in the arm's plane, in which joints 2 to 4 turn it
         for joint, (centre_x, centre_z) in enumerate(
             ((0.0, _D1), (self.elbow_x, self.elbow_z), (self.wrist_x, self.wrist_z)), start=1
         ):

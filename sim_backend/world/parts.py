@@ -1,8 +1,8 @@
-"""The six pegs and their holes, and when a peg fits.
+"""The six pegs and their holes, and the test of whether a peg fits.
 
-The paper states its gaps as proportions, hole area minus peg area over hole area, and no sizes. Sizes here are solved
-from those proportions, at the clearance per face `c` of the gap the part was tested with (the paper's "4 mm" is
-c = 4/3 mm, its "1 mm" c = 1/3 mm), and rounded to 0.1 mm:
+The paper states no sizes. It states its gaps as proportions: hole area minus peg area, over hole area. The sizes here
+are solved from those proportions at the clearance per face `c` of the gap with which the part was tested (the paper's
+"4 mm" is c = 4/3 mm, its "1 mm" c = 1/3 mm), and rounded to 0.1 mm:
 
 | part | size | c, mm | proportion, % | paper, % |
 |---|---|---|---|---|
@@ -16,19 +16,19 @@ c = 4/3 mm, its "1 mm" c = 1/3 mm), and rounded to 0.1 mm:
 | b-trm | side 38.0 mm | 4/3 | 20.50 | 20.50 |
 | b-trm | side 38.0 mm | 1/3 | 5.81 | 5.8 |
 
-tr is an equilateral triangle, rtr a Reuleaux triangle (three arcs, each about the opposite corner), trm a triangle
-whose corner is cut off by a fourth face that touches the incircle too (the only cut at which its two proportions both
-hold), cir a circle. b- is the big one of its kind. Part frame: origin at the centre of the incircle, x axis towards a
-corner, of trm towards the missing one. Every outline is its own mirror image in the x axis, so it is the same seen from
-above and from the tool.
+tr is an equilateral triangle. rtr is a Reuleaux triangle (three arcs, each about the opposite corner). trm is a
+triangle whose corner is cut off by a fourth face that also touches the incircle (the only cut at which both of its
+proportions hold). cir is a circle. b- marks the big one of its kind. Part frame: origin at the centre of the incircle,
+x axis towards a corner; for trm, towards the missing corner. Every outline is symmetric about the x axis, so it looks
+the same from above and from the tool.
 
-A hole is the parallel offset of the peg's faces by c, sharp in the corners; the clearance is a parameter, so one peg
-fits many holes. The wall of a curved face is a set of planes tangent to the offset arc, 12° apart on the Reuleaux
-triangles and 20° apart on the circle (18 walls each), never nearer to the peg than c. Between two of them the hole is
-wider than an arc of radius r by r (sec 6° - 1) at most, 0.11 mm for rtr and 0.14 mm for b-rtr at c = 1/3 mm. The
-collision outline of a Reuleaux peg has its vertices on the true arcs where the walls are tangent, so its distance to
-every wall is c too; its edges lie r (1 - cos 6°) inside the arc at most. cir is a true cylinder: centred it is c from
-every wall, and it moves off centre by c sec 10° = 1.015 c at most.
+A hole is the parallel offset of the peg's faces by c, with sharp corners. The clearance is a parameter, so one peg fits
+many holes. The wall of a curved face is a set of planes tangent to the offset arc, 12° apart on the Reuleaux triangles
+and 20° apart on the circle (18 walls each), never nearer to the peg than c. Between two planes the hole is wider than
+an arc of radius r by at most r (sec 6° - 1): 0.11 mm for rtr and 0.14 mm for b-rtr at c = 1/3 mm. The collision outline
+of a Reuleaux peg has its vertices on the true arcs at the points where the walls are tangent, so its distance to every
+wall is c too; its edges lie at most r (1 - cos 6°) inside the arc. cir is a true cylinder: centred, it is c from every
+wall, and it moves off centre by at most c sec 10° = 1.015 c.
 """
 
 import math
@@ -49,15 +49,15 @@ class Part:
     """A peg's cross-section, in the part frame of this module.
 
     Attributes:
-        name: as in the paper.
+        name: name in the paper.
         size_m: side of the (whole) triangle, width of the Reuleaux triangle, or diameter.
-        outline: (k, 2) collision polygon, counter-clockwise, read-only; of cir a polygon for drawing only.
+        outline: (k, 2) collision polygon, counter-clockwise, read-only; for cir a polygon for drawing only.
         wall_angle: (w,) direction of each wall of the hole, seen from the centre, rad, rising within (-π, π].
         wall_reach: (w,) distance from the centre to the peg's face, or tangent to its curve, in that direction, m.
-        area_m2: of the true, not the faceted, peg.
-        symmetry_order: rotations by 2π over this leave the peg unchanged; 0 when every rotation does.
-        face: what the true outline is made of.
-        peg_height_m: along the insertion axis.
+        area_m2: area of the true, unfaceted peg.
+        symmetry_order: rotations by 2π over this number leave the peg unchanged; 0 if every rotation does.
+        face: kind of the true outline's faces.
+        peg_height_m: height along the insertion axis.
     """
 
     name: str
@@ -76,17 +76,17 @@ class Part:
 
     @property
     def is_cylinder(self) -> bool:
-        """Whether the collision peg is a true cylinder, of radius `radius_m`, and not a prism over `outline`."""
+        """The collision peg is a true cylinder of radius `radius_m`, not a prism over `outline`."""
         return self.face == "circle"
 
     @property
     def radius_m(self) -> float:
-        """Radius of the smallest circle about the origin that holds the peg; of cir the cylinder's."""
+        """Radius of the smallest circle about the origin that contains the peg; for cir, of the cylinder."""
         return 0.5 * self.size_m if self.is_cylinder else float(np.hypot(*self.outline.T).max())
 
     @property
     def wall_normal(self) -> FloatArray:
-        """(w, 2) unit vectors out of the hole, one per wall."""
+        """(w, 2) outward unit normals of the hole, one per wall."""
         return np.stack((np.cos(self.wall_angle), np.sin(self.wall_angle)), -1)
 
 
@@ -129,7 +129,7 @@ def _reuleaux(name: str, width: float) -> Part:
     to_corner = width / math.sqrt(3.0)
     outline: list[FloatArray] = []
     walls: list[float] = []
-    for middle in (-180.0, -60.0, 60.0):  # normal at the middle of an arc, whose centre is the corner opposite
+    for middle in (-180.0, -60.0, 60.0):  # normal at the middle of an arc, whose centre is the opposite corner
         normals = np.radians(middle + np.array([-30.0, -18.0, -6.0, 6.0, 18.0, 30.0]))
         centre = -to_corner * np.array([math.cos(math.radians(middle)), math.sin(math.radians(middle))])
         points = centre + width * np.stack((np.cos(normals), np.sin(normals)), -1)
@@ -181,7 +181,7 @@ PARTS: dict[str, Part] = {
 
 
 def proportion(part: Part, clearance: npt.ArrayLike) -> FloatArray:
-    """Return (hole area - peg area) / hole area, (...), of the true shapes for clearances per face (...), m."""
+    """Return (hole area - peg area) / hole area, (...), for the true shapes and clearances per face (...), m."""
     gap = np.asarray(clearance, np.float64)
     if part.face == "arc":
         # Three discs about the peg's corners: a triangle of side `chord` and three segments.
@@ -198,9 +198,9 @@ def hole_walls(part: Part, clearance: npt.ArrayLike) -> FloatArray:
     """Return the walls of the hole for clearances per face (...), m.
 
     Returns:
-        (..., w, 3): angle of the normal out of the hole, rad; distance of the wall's face from the hole's centre, m;
-        half length, m, that a face centred on the foot of its normal needs at least to meet its neighbours. The hole
-        is where `normal · x <= distance` for every wall. Their number depends on the part only.
+        (..., w, 3): angle of the outward normal, rad; distance of the wall's face from the hole's centre, m; least half
+            length, m, at which a face centred on the foot of its normal meets its neighbours. A point x lies in the
+            hole if `normal · x <= distance` for every wall. The number of walls depends on the part only.
     """
     distance = _wall_distances(part, clearance)
     previous, following = np.roll(distance, 1, -1), np.roll(distance, -1, -1)
@@ -220,13 +220,13 @@ def wall_centres(part: Part, clearance: npt.ArrayLike, slab_half_thickness: floa
 def wall_distance(
     part: Part, clearance: npt.ArrayLike, offset: npt.ArrayLike = (0.0, 0.0), yaw: npt.ArrayLike = 0.0
 ) -> FloatArray:
-    """Return the smallest distance (...), m, from the displaced peg's collision outline to a wall; negative outside.
+    """Return the smallest distance (...), m, from the displaced peg's collision outline to a wall; negative if outside.
 
     Args:
         part: peg and hole.
-        clearance: (...) per face, m.
-        offset: (..., 2) of the peg's centre from the hole's, hole frame, m.
-        yaw: (...) of the peg against the hole, rad, seen from above.
+        clearance: (...) clearance per face, m.
+        offset: (..., 2) position of the peg's centre relative to the hole's, hole frame, m.
+        yaw: (...) yaw of the peg relative to the hole, rad, seen from above.
     """
     walls = _wall_distances(part, clearance)
     normal = part.wall_normal
@@ -234,7 +234,7 @@ def wall_distance(
     if part.is_cylinder:
         gap = walls - shift - part.radius_m
         return np.broadcast_to(gap.min(-1), np.broadcast_shapes(gap.shape[:-1], np.shape(yaw)))
-    # Turning the normals back by the yaw leaves the outline where it is.
+    # The normals are turned back by the yaw; the outline stays.
     angle = part.wall_angle - np.asarray(yaw, np.float64)[..., None]
     x, y = part.outline.T
     support = (np.cos(angle)[..., None] * x + np.sin(angle)[..., None] * y).max(-1)
@@ -249,9 +249,9 @@ def contained(
 
 
 def yaw_tolerance(part: Part, clearance: npt.ArrayLike) -> FloatArray:
-    """Return how far, either way, rad, the centred collision outline turns before it touches a wall.
+    """Return the angle, rad, by which the centred collision outline can turn to either side before it touches a wall.
 
-    Clearances and result are (...); π when it turns freely.
+    Clearances and result are (...); the result is π if the outline turns freely.
     """
     walls = _wall_distances(part, clearance)
     if part.is_cylinder:

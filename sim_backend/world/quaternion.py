@@ -1,6 +1,6 @@
-"""Orientations as unit quaternions, scalar first, (n, 4): the form in which the 500 Hz law is cheapest.
+"""Orientations as unit quaternions, scalar first, (n, 4): the cheapest form for the 500 Hz law.
 
-Everything slower uses the rotation matrices and rotation vectors of `protocol.pose`.
+Slower code uses the rotation matrices and rotation vectors of `wire.pose`.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 def between(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Rotation vector (n, 3), base axes, rad, that turns `start` into `end`; exact, the short way round."""
+    """Return the rotation vector (n, 3), base axes, rad, that turns `start` into `end`; exact, the short way round."""
     vector = start[:, :1] * end[:, 1:] - end[:, :1] * start[:, 1:] + _cross(start[:, 1:], end[:, 1:])
     scalar = (start * end).sum(1)
     sine = np.sqrt((vector * vector).sum(1))
@@ -28,13 +28,13 @@ def turn(quaternion: FloatArray, half_step: FloatArray) -> None:
 
 
 def from_rotvec(rotvec: FloatArray) -> FloatArray:
-    """Quaternion of rotation vectors (n, 3), rad."""
+    """Return the quaternions of rotation vectors (n, 3), rad."""
     angle = np.sqrt((rotvec * rotvec).sum(-1, keepdims=True))
     return np.concatenate([np.cos(0.5 * angle), rotvec * (0.5 * np.sinc(angle / (2.0 * np.pi)))], axis=-1)
 
 
 def to_rotvec(quaternion: FloatArray) -> FloatArray:
-    """Rotation vector (n, 3), length at most π rad."""
+    """Return the rotation vectors (n, 3), length at most π rad."""
     identity = np.zeros_like(quaternion)
     identity[:, 0] = 1.0
     return between(identity, quaternion)

@@ -1,4 +1,4 @@
-"""Pictures of a scene, off screen. Needs EGL (or OSMesa); everything else in this project does without."""
+"""Off-screen pictures of a scene. Only this module needs EGL (or OSMesa)."""
 
 import struct
 import zlib
@@ -16,18 +16,18 @@ _REMEDY = "On Debian: apt-get install -y libegl1 libgl1 (software rendering, no 
 
 
 class RenderingUnavailableError(RuntimeError):
-    """This machine cannot draw; the text says why and what to install."""
+    """This machine cannot render; the text says why and what to install."""
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A camera of one's own.
+    """A camera with free position and direction.
 
     Attributes:
-        target: looked at, base frame, m.
-        distance_m: from there.
-        azimuth_deg: of the line of sight, about z from x.
-        elevation_deg: of the line of sight; negative looks down.
+        target: point at the centre of the picture, base frame, m.
+        distance_m: distance from the target.
+        azimuth_deg: direction of the line of sight about z, from x.
+        elevation_deg: elevation of the line of sight; negative looks down.
     """
 
     target: tuple[float, float, float]
@@ -37,22 +37,22 @@ class View:
 
 
 class Renderer:
-    """Draws states of a cell from its named cameras, or another. A context manager; use it from one thread."""
+    """Draws states of a cell from its named cameras or from a `View`. A context manager; use it from one thread."""
 
     def __init__(
         self, part: str = "tr", clearance_m: float = 2e-3, width: int = 1280, height: int = 720, backend: str = "egl"
     ) -> None:
-        """Make an OpenGL context and a dressed scene; the states to draw come from plain ones.
+        """Make an OpenGL context and a dressed scene; the states to draw come from plain scenes.
 
         Args:
             part: peg and hole.
-            clearance_m: per face.
-            width: of the pictures, pixels.
-            height: of the pictures, pixels.
+            clearance_m: clearance per face, m.
+            width: width of the pictures, pixels.
+            height: height of the pictures, pixels.
             backend: `egl` or `osmesa`.
 
         Raises:
-            RenderingUnavailableError: no such context can be made here.
+            RenderingUnavailableError: this machine cannot make such a context.
         """
         self._gl = _new_context(backend, width, height)
         spec = scene.specify(part, clearance_m)
@@ -79,15 +79,15 @@ class Renderer:
         """Draw a state.
 
         Args:
-            model: of a cell with this part; the grasp is read from it. The walls are those of `clearance_m`.
-            state: of that cell; only its positions are read.
-            camera: one of `appearance.CAMERAS`, or one of your own.
+            model: model of a cell with this part; only the grasp is read from it. The walls are those of `clearance_m`.
+            state: state of that cell; only its positions are read.
+            camera: one of `appearance.CAMERAS`, or a `View`.
 
         Returns:
             (height, width, 3) uint8, RGB, top row first.
 
         Raises:
-            ValueError: no such camera.
+            ValueError: the scene has no such camera.
         """
         if isinstance(camera, str) and camera not in appearance.CAMERAS:
             raise ValueError(f"no camera {camera!r} in the scene, it has {', '.join(appearance.CAMERAS)}")
@@ -115,13 +115,13 @@ class Renderer:
         return np.ascontiguousarray(picture[::-1])
 
     def close(self) -> None:
-        """Free the context; the renderer draws no more."""
+        """Free the context; the renderer cannot draw afterwards."""
         self._context.free()
         self._gl.free()
 
 
 def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
-    """Write (height, width, 3) uint8 RGB as PNG (RFC 2083): no imaging library at run time for this alone."""
+    """Write (height, width, 3) uint8 RGB as PNG (RFC 2083); this spares an imaging library at run time."""
     height, width, _ = picture.shape
     rows = np.zeros((height, 1 + 3 * width), np.uint8)  # each row starts with its filter type, 0: none
     rows[:, 1:] = picture.reshape(height, 3 * width)
@@ -135,7 +135,7 @@ def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
 
 
 def _new_context(backend: str, width: int, height: int) -> Any:
-    """Return a current off-screen OpenGL context, made without mujoco's own choice, which is fixed at import."""
+    """Return a current off-screen OpenGL context without mujoco's own choice of backend, which is fixed at import."""
     if backend not in ("egl", "osmesa"):
         raise RenderingUnavailableError(f"{backend!r} is not an off-screen backend, use egl or osmesa")
     try:
@@ -145,6 +145,6 @@ def _new_context(backend: str, width: int, height: int) -> Any:
             from mujoco.osmesa import GLContext
         context = GLContext(width, height)
         context.make_current()
-    except Exception as error:  # a missing library is ImportError, AttributeError, TypeError or PyOpenGL's own
+    except Exception as error:  # missing libraries raise ImportError, AttributeError, TypeError or PyOpenGL's own
         raise RenderingUnavailableError(f"no {backend} rendering on this machine ({error}). {_REMEDY}") from error
     return context

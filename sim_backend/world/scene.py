@@ -1,9 +1,9 @@
 """The scene: a UR3e with a gripper and a peg above a block with a hole, built with MuJoCo's `MjSpec`.
 
-`docs/reference/frames.md` defines the frames. The arm's bodies stand in its Denavit–Hartenberg frames, so
-MuJoCo's joint angles are the controller's. The hole is one box slab per wall, each on the outer side of its face: the
-hole is the intersection of the inner half-spaces, exactly, at any clearance. Only the peg touches the block, its floor
-and the table.
+`docs/reference/frames.md` defines the frames. The arm's bodies have its Denavit–Hartenberg frames, so MuJoCo's joint
+angles are the controller's. The hole has one box slab per wall, each on the outer side of its face: the hole is exactly
+the intersection of the inner half-spaces, at any clearance. Only the peg collides with the block, its floor and the
+table.
 """
 
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from sim_backend.world.parts import HOLE_DEPTH_M, PARTS, PEG_HEIGHT_M, Part, hol
 from wire.records import TICK_S
 
 GRIPPER_LENGTH_M = 0.150
-"""Flange to fingertips of a Robotiq 2F-85, closed on the peg."""
+"""Length from flange to fingertips of a Robotiq 2F-85, closed on the peg."""
 PROTRUSION_M = 0.040
-"""Fingertips to the peg's bottom."""
+"""Distance from the fingertips to the peg's bottom."""
 TCP_OFFSET_M = GRIPPER_LENGTH_M + PROTRUSION_M
 GRIPPER_MASS_KG = 0.9
 GRIPPER_COM_M = 0.055
@@ -30,22 +30,22 @@ WALL_HALF_THICKNESS_M = 0.060
 WALL_HALF_LENGTH_M = 0.110
 WALL_HALF_HEIGHT_M = 0.014
 NOMINAL_HOLE_M = (0.300, -0.110, 0.080)
-"""Centre of the hole's mouth about which the conditions scatter it."""
+"""Centre of the hole's mouth; the conditions scatter the hole about it."""
 
 FINGER_RANGE_RAD = float(np.deg2rad(3.0))
 FINGER_STIFFNESS_NM = 12.0
 FINGER_DAMPING_NMS = 0.03
 
 JOINT_STIFFNESS_NM = (3500.0, 3500.0, 3500.0, 800.0, 800.0, 800.0)
-"""Stiffness of the joints' position loops with their transmissions, N·m/rad; about 1.7e4 N/m at the TCP vertically. An
-assumption: UR publishes none."""
+"""Stiffness of the joints' position loops with their transmissions, N·m/rad; about 1.7e4 N/m vertically at the TCP.
+An assumption: UR publishes none."""
 JOINT_ARMATURE_KGM2 = (0.12, 0.12, 0.12, 0.02, 0.02, 0.02)
 """Rotor inertia behind the gears. An assumption: UR publishes none."""
 JOINT_DAMPING_RATIO = 1.0
 
 CONTACT_TIME_S = 12e-3
-"""Nominal time constant of contact; a simulation may have another. Where it is shorter, a jammed peg goes on vibrating
-under a stopped arm: figures in docs/reference/conditions.md."""
+"""Nominal time constant of contact; a simulation may have another. With a shorter one a jammed peg continues to vibrate
+under a stopped arm; docs/reference/conditions.md gives figures."""
 _CONTACT = {"solref": [CONTACT_TIME_S, 1.0], "solimp": [0.95, 0.99, 0.0005, 0.5, 2.0]}
 
 
@@ -54,12 +54,12 @@ class Scene:
     """A compiled scene and the indices that the world needs.
 
     Attributes:
-        model: compiled for `part`; clearance, hole pose and plant vary per simulation without a rebuild.
+        model: model compiled for `part`; clearance, hole pose and plant vary per simulation without a rebuild.
         part: the peg and its hole.
         wall_geoms: (k,) geom ids of the hole's walls, in the order of `wall_centres`.
         floor_geom: the hole's floor.
-        peg_geom: the peg's collision geom.
-        peg_body: body of the peg; its position holds the grasp offset.
+        peg_geom: collision geom of the peg.
+        peg_body: body of the peg; its position contains the grasp offset.
         gripper_body: body that carries the sensor.
     """
 
@@ -73,14 +73,14 @@ class Scene:
 
 
 def build(part_name: str = "tr", clearance_m: float = 2.0e-3) -> Scene:
-    """Build and compile the scene, without anything that is only looked at: `appearance` adds that.
+    """Build and compile the scene without its visual parts, which `appearance` adds.
 
     Args:
         part_name: one of `parts.PARTS`.
-        clearance_m: clearance per face that the walls start with.
+        clearance_m: initial clearance per face of the walls, m.
 
     Raises:
-        KeyError: no such part.
+        KeyError: there is no such part.
     """
     part = PARTS[part_name]
     model = specify(part_name, clearance_m).compile()
@@ -96,7 +96,7 @@ def build(part_name: str = "tr", clearance_m: float = 2.0e-3) -> Scene:
 
 
 def specify(part_name: str, clearance_m: float) -> mujoco.MjSpec:
-    """Describe what `build` compiles."""
+    """Return the specification that `build` compiles."""
     part = PARTS[part_name]
     spec = mujoco.MjSpec()
     spec.modelname = f"dsl-assembly-{part_name}"
@@ -106,7 +106,7 @@ def specify(part_name: str, clearance_m: float) -> mujoco.MjSpec:
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    # walls move per simulation, away from the bounding volumes that compilation made
+    # walls move per simulation and then leave the bounding volumes of the compilation
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
     option.gravity = [0, 0, -GRAVITY_M_S2]
 
@@ -130,7 +130,9 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
 
 
 def _add_block(spec: mujoco.MjSpec, part: Part, clearance_m: float) -> None:
-    """The block is a mocap body: its pose is the hole's mouth (x, y, z, yaw) and is part of a simulation's state."""
+    """Add the block as a mocap body: its pose is the hole's mouth (x, y, z, yaw) and is part of a
+    simulation's state.
+    """
     block = spec.worldbody.add_body(name="block", mocap=True, pos=list(NOMINAL_HOLE_M))
     walls = hole_walls(part, clearance_m)
     centres = wall_centres(part, clearance_m, WALL_HALF_THICKNESS_M)
@@ -157,7 +159,7 @@ def _add_block(spec: mujoco.MjSpec, part: Part, clearance_m: float) -> None:
 
 
 def _add_arm(spec: mujoco.MjSpec) -> "mujoco.MjsBody":
-    """Six links in their Denavit–Hartenberg frames; returns the flange's body-fixed frame as the last link."""
+    """Add six links in their Denavit–Hartenberg frames; return the last link, whose frame is the flange's."""
     parent = spec.worldbody.add_body(name="base")
     step_pos, step_quat = np.zeros(3), np.array([1.0, 0, 0, 0])
     for i, joint in enumerate(UR3E):
@@ -194,14 +196,14 @@ def _add_arm(spec: mujoco.MjSpec) -> "mujoco.MjsBody":
 
 
 def _add_tool(spec: mujoco.MjSpec, gripper: "mujoco.MjsBody", part: Part) -> None:
-    """Gripper, sensor, fingers' compliance and peg. The sensor measures what the flange carries."""
+    """Add gripper, sensor, compliance of the fingers, and peg. The sensor measures the load on the flange."""
     gripper.mass = GRIPPER_MASS_KG
     gripper.ipos = [0, 0, GRIPPER_COM_M]
     gripper.inertia = [1.1e-3, 1.0e-3, 6e-4]
     gripper.explicitinertial = True
     gripper.add_site(name="ft", pos=[0, 0, 0])
     gripper.add_site(name="tcp", pos=[0, 0, TCP_OFFSET_M])
-    # peg frame: at the bottom's centre, z along the peg into the world; the fingers' axis passes through the pads
+    # peg frame: origin at the centre of the bottom, z along the peg into the world; the fingers' axis passes the pads
     peg = gripper.add_body(name="peg", pos=[0, 0, TCP_OFFSET_M])
     peg.add_joint(
         name="finger",

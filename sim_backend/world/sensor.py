@@ -1,8 +1,8 @@
 """The wrist's force/torque sensor and the controller's view of it.
 
-Raw: what the flange carries, in the flange's frame, with bias, drift, noise, delay and a finite range.
-Compensated: zeroed, without the gravity of the configured payload, at the TCP, in the base frame, with the sign of what
-the environment does to the tool: what a UR controller calls `actual_TCP_force`.
+Raw readings are the load on the flange in the flange's frame, with bias, drift, noise, delay and a finite range.
+Compensated readings are zeroed, without the gravity of the configured payload, at the TCP, in the base frame. Their
+sign is that of the environment's action on the tool: a UR controller's `actual_TCP_force`.
 """
 
 import numpy as np
@@ -14,20 +14,20 @@ from wire.arrays import FloatArray
 from wire.records import TICK_S
 
 RANGE = np.array([30.0] * 3 + [10.0] * 3)
-"""End of the UR3e's sensor, N and N·m, per channel."""
+"""End of the range of the UR3e's sensor, N and N·m, per channel."""
 MAX_DELAY = 8
 ZERO_TICKS = 100
-"""Time constant of the average that a zero is taken from: one sample would carry its noise into everything after."""
+"""Time constant of the average from which a zero is taken; a single sample would carry its noise into all readings."""
 
 
 class ForceTorqueSensor:
-    """n sensors.
+    """Force/torque sensors of n cells.
 
     Args:
-        n: how many.
+        n: number of sensors.
         payload_kg: mass that the controller compensates.
-        payload_com_m: (3,) its centre, in the flange's frame.
-        tcp_offset_m: (3,) the TCP, in the flange's frame.
+        payload_com_m: (3,) centre of that mass, in the flange's frame.
+        tcp_offset_m: (3,) TCP in the flange's frame.
     """
 
     def __init__(self, n: int, payload_kg: float, payload_com_m: npt.ArrayLike, tcp_offset_m: npt.ArrayLike) -> None:
@@ -50,13 +50,13 @@ class ForceTorqueSensor:
     def configure(
         self, payload_kg: float, payload_com_m: npt.ArrayLike, tcp_offset_m: npt.ArrayLike, rotation: FloatArray
     ) -> None:
-        """Compensate another payload and report at another TCP from the next reading on; the zero stays what it was.
+        """Compensate another payload and report at another TCP from the next reading on; the zero stays.
 
         Args:
-            payload_kg: as for the constructor, like the next two.
+            payload_kg: as in the constructor, like the next two.
             payload_com_m: (3,)
             tcp_offset_m: (3,)
-            rotation: (n, 3, 3) of the flange, now: a zero taken next goes by readings from before.
+            rotation: (n, 3, 3) present orientation of the flange; the next zero uses the readings before this call.
         """
         self._average += self._gravity(rotation)
         self._weight = payload_kg * GRAVITY_M_S2
@@ -64,14 +64,14 @@ class ForceTorqueSensor:
         self._average -= self._gravity(rotation)
 
     def reset(self, cell: int, episode: Episode) -> None:
-        """Give one sensor an episode's noise, bias and delay, and forget its past."""
+        """Give one sensor an episode's noise, bias and delay, and clear its history."""
         self._tick[cell] = 0
         self._delay[cell] = episode.sensor_delay
         self._noise[cell] = episode.wrench_noise
         self._bias[cell] = episode.bias
         self._drift[cell] = episode.drift * TICK_S
         self._zero[cell] = 0.0
-        # at rest, tool down, for long before the episode begins; the payload's mass is not quite the configured one
+        # at rest, tool down, since long before the episode; the payload's mass differs slightly from the configured one
         self._average[cell] = episode.bias + episode.wrench_noise[-ZERO_TICKS:].mean(axis=0)
         self._average[cell, 2] += (episode.mass_scale - 1.0) * self._weight
         self.raw[cell] = self.wrench[cell] = 0.0
@@ -81,15 +81,15 @@ class ForceTorqueSensor:
         """Take one reading: sets `raw`, `wrench`, `saturated`.
 
         Args:
-            carried: (n, 6) true load on the flange, flange axes, the environment's and gravity's share.
-            rotation: (n, 3, 3) of the flange.
+            carried: (n, 6) true load on the flange, flange axes, from environment and gravity.
+            rotation: (n, 3, 3) orientation of the flange.
         """
         self._slot = (self._slot + 1) % MAX_DELAY
         self._history[self._slot] = carried
         fresh = self._tick == 0
         if fresh.any():
             self._history[:, fresh] = carried[fresh]
-        # MuJoCo's reading is one tick old already
+        # MuJoCo's reading is already one tick old
         raw = self._history[(self._slot - self._delay + 1) % MAX_DELAY, self._rows]
         raw += self._noise[self._rows, self._tick % NOISE_ROWS]
         raw += self._bias
@@ -106,11 +106,15 @@ class ForceTorqueSensor:
         self.wrench[:, 3:] = np.einsum("nij,nj->ni", rotation, own[:, 3:])
 
     def zero(self, cells: npt.NDArray[np.int64]) -> None:
-        """Make the running average of the last moments the zero of `cells`; meaningless in contact or in motion."""
+        """Take the running average of the latest readings as the zero of `cells`; meaningless in contact or
+        in motion.
+        """
         self._zero[cells] = self._average[cells]
 
     def _gravity(self, rotation: FloatArray) -> FloatArray:
-        """Wrench of the configured payload's weight, (n, 6), flange axes: force along base -z at its centre."""
+        """Return the wrench of the configured payload's weight, (n, 6), flange axes: force along base -z at
+        its centre.
+        """
         out = np.empty((len(rotation), 6))
         np.multiply(rotation[:, 2, :], -self._weight, out=out[:, :3])
         out[:, 3:] = out[:, :3] @ self._com
@@ -118,6 +122,8 @@ class ForceTorqueSensor:
 
 
 def _lever(point: npt.ArrayLike) -> FloatArray:
-    """(3, 3) that turns a force, as a row, into its moment about the origin when it acts at `point` (3,)."""
+    """Return the (3, 3) matrix that turns a force, as a row, acting at `point` (3,) into its moment about the
+    origin.
+    """
     x, y, z = np.asarray(point, np.float64).tolist()
     return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])

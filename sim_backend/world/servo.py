@@ -1,4 +1,4 @@
-"""What the position loops of the joints are told, so that the arm follows its reference closely."""
+"""Set-points of the joints' position loops, chosen so that the arm follows its reference closely."""
 
 import mujoco
 import numpy as np
@@ -9,14 +9,14 @@ from wire.arrays import CellIndices, FloatArray
 
 
 class JointServo:
-    """n arms' servos: a joint lags by its damping and gives way under the payload, and is led by as much.
+    """Servos of n arms. A joint lags by its damping and sags under the payload; the set-point leads by the same amount.
 
     Args:
-        n: how many.
-        stiffness: (6,) of the position loops, N·m/rad.
-        damping: (6,) of the position loops, N·m·s/rad.
+        n: number of arms.
+        stiffness: (6,) stiffness of the position loops, N·m/rad.
+        damping: (6,) damping of the position loops, N·m·s/rad.
         payload_kg: mass whose weight the loops carry.
-        payload_com_m: (3,) its centre, in the flange's frame.
+        payload_com_m: (3,) centre of that mass, in the flange's frame.
     """
 
     def __init__(
@@ -28,19 +28,19 @@ class JointServo:
         self.set_payload(payload_kg, payload_com_m)
 
     def set_payload(self, payload_kg: float, payload_com_m: npt.ArrayLike) -> None:
-        """Configure the payload; arms that are refreshed from now on carry it."""
+        """Configure the payload; arms refreshed from now on carry it."""
         self._weight = payload_kg * kinematics.GRAVITY_M_S2
         self._com = np.array(payload_com_m, np.float64)
 
     def refresh(self, cells: CellIndices, joints: FloatArray) -> None:
-        """Take the sag of `cells` (k,) at their joint angles (k, 6); it changes slowly, so not every tick."""
+        """Update the sag of `cells` (k,) at joint angles (k, 6); it changes slowly, so not every tick needs it."""
         self._sag[cells] = self._compliance * self._weight * kinematics.jacobian(joints, self._com)[:, 2, :]
 
     def set_points(self, joints: FloatArray, speeds: FloatArray) -> FloatArray:
-        """Set-points (n, 6), rad, that bring the joints to `joints` (n, 6) while they move at `speeds` (n, 6)."""
+        """Return set-points (n, 6), rad, that bring the joints to `joints` (n, 6) at speeds `speeds` (n, 6)."""
         return joints + self._lead * speeds + self._sag
 
 
 def gains(model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
-    """Stiffness (6,) and damping (6,) of a model's joint servos."""
+    """Return stiffness (6,) and damping (6,) of a model's joint servos."""
     return model.actuator_gainprm[:, 0].copy(), -model.actuator_biasprm[:, 2]

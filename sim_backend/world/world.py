@@ -1,6 +1,6 @@
 """n simulated cells stepped together: the plant, its sensor and its arm controller, one tick of 2 ms at a time.
 
-The same class serves one cell over Zenoh and hundreds in training: there is no other simulation.
+One class serves one cell over Zenoh and hundreds in training: there is no other simulation.
 """
 
 from collections.abc import Sequence
@@ -24,32 +24,32 @@ from wire.records import StopReason
 from wire.task import Part, Task
 
 START_POSITION_M = (scene.NOMINAL_HOLE_M[0], scene.NOMINAL_HOLE_M[1], 0.180)
-"""TCP at which an episode begins, tool down."""
+"""TCP position at the start of an episode, tool down."""
 START_YAW_RAD = 0.0
 ESTIMATE_TICKS = 20
 """Ticks per camera frame."""
 FLOOR_GIVE_M = 1e-3
-"""How deep below the floor's level a peg that stands on it may read."""
+"""Reading below the floor's level that a peg standing on the floor may have, m."""
 _NEAR_JOINTS = np.array([-0.2, -1.9, -1.7, -1.1, 1.57, 0.0])
-"""Elbow up, over the table: the branch of the inverse kinematics that the arm lives on."""
+"""Joint angles with the elbow up, over the table: the arm's branch of the inverse kinematics."""
 
 
 class World:
-    """n cells.
+    """n simulated cells.
 
     Args:
-        n: how many.
+        n: number of cells.
         part: peg and hole of all of them; clearance, pose and plant differ from cell to cell.
-        threads: that step the physics; 0 for one per core.
+        threads: number of threads that step the physics; 0 for one per core.
 
     Attributes:
-        joints: (n, 6) measured, rad.
-        position: (n, 3) measured TCP, base frame; of the tick before, as MuJoCo gives it.
+        joints: (n, 6) measured joint angles, rad.
+        position: (n, 3) measured TCP, base frame; MuJoCo gives that of the previous tick.
         rotation: (n, 3, 3) measured orientation of the TCP; likewise.
-        sensor: what it reads; `sensor.wrench` (n, 6) is the compensated one.
+        sensor: force/torque sensor; `sensor.wrench` (n, 6) is the compensated reading.
         estimate: (n, 3) the camera's estimate of the hole's mouth.
         arm: the arm controllers.
-        ticks: (n,) since each cell's reset.
+        ticks: (n,) ticks since each cell's reset.
     """
 
     def __init__(self, n: int = 1, part: Part = "tr", threads: int = 1) -> None:
@@ -104,7 +104,7 @@ class World:
         """Lay out cells anew: another hole, another plant, the arm at rest at the start pose.
 
         Args:
-            cells: (k,) which.
+            cells: (k,) indices.
             tasks: k tasks; their part must be this world's.
 
         Raises:
@@ -144,7 +144,7 @@ class World:
         """Put arms at rest with the TCP at `position` (k, 3), tool down, yaw (k,); their programs are idle afterwards.
 
         Raises:
-            KinematicsError: out of reach.
+            KinematicsError: the pose is out of reach.
         """
         rotation = pose.tool_down(yaw)
         flange = position - rotation @ np.array([0.0, 0.0, scene.TCP_OFFSET_M])
@@ -158,30 +158,30 @@ class World:
         self._measure()
 
     def move_hole(self, cells: CellIndices, position: FloatArray, yaw: FloatArray) -> None:
-        """Have the holes of `cells` elsewhere from now on, as a block that slips does; the camera does not notice.
+        """Move the holes of `cells` as a slipping block does; the camera does not notice.
 
         Args:
-            cells: (k,) which.
+            cells: (k,) indices.
             position: (k, 3) centre of the mouth, m.
-            yaw: (k,) rad.
+            yaw: (k,) yaw, rad.
         """
         half = 0.5 * yaw
         self._block_position[cells] = position
         self._block_quat[cells] = np.column_stack([np.cos(half), np.zeros((len(cells), 2)), np.sin(half)])
 
     def zero_ft(self, cells: CellIndices) -> None:
-        """Zero the sensors of `cells`; whoever commands refuses it while engaged, and it is meaningless in contact."""
+        """Zero the sensors of `cells`; meaningless in contact. Callers refuse it while engaged."""
         self.sensor.zero(cells)
 
     def engage(
         self, cells: CellIndices, stiffness: FloatArray, damping: FloatArray, inertia: FloatArray, limits: ControlLimits
     ) -> npt.NDArray[np.bool_]:
-        """Start the control programs; the plant's stiffness error applies. Returns (k,) which were engaged."""
+        """Start the control programs; the plant's stiffness error applies. Return the mask (k,) of engaged cells."""
         scaled = np.broadcast_to(stiffness, (len(cells), 6)) * self._stiffness_scale[cells, None]
         return self.arm.engage(cells, scaled, damping, inertia, limits)
 
     def stop(self, cells: CellIndices) -> None:
-        """Stop arms, as a client's command does."""
+        """Stop arms as a client's command does."""
         self.arm.stop(cells, StopReason.COMMAND)
 
     def tick(self) -> None:
@@ -193,7 +193,7 @@ class World:
     def drive(self, set_points: FloatArray) -> None:
         """Advance every cell by one tick of 2 ms with `set_points` (n, 6) for the joint servos, rad.
 
-        For a controller other than `arm`, which then stands still.
+        For controllers other than `arm`, which stands still meanwhile.
         """
         self._ctrl[:] = set_points
         self._batch.step()
@@ -203,12 +203,12 @@ class World:
         self.estimate = self.camera(self._all)
 
     def camera(self, cells: CellIndices) -> FloatArray:
-        """(k, 3) the camera's present estimate of the hole's mouth."""
+        """Return the camera's present estimate of the hole's mouth, (k, 3)."""
         frame = (self.ticks[cells] // ESTIMATE_TICKS) % CAMERA_FRAMES
         return self._offset[cells] + self._jitter[cells, frame]
 
     def hover(self, cells: CellIndices) -> FloatArray:
-        """(k,) height above the estimate, m, at which the episode's scripted approach ends."""
+        """Return the height above the estimate, (k,) m, at which the episode's scripted approach ends."""
         return np.array([self._episodes[int(cell)].hover_m for cell in cells])
 
     def model(self, cell: int = 0) -> mujoco.MjModel:
@@ -216,16 +216,18 @@ class World:
         return self._batch.get_model(cell)
 
     def data(self, cell: int = 0) -> mujoco.MjData:
-        """One cell as MuJoCo data, for rendering and inspection; it goes with `model(cell)`."""
+        """Return one cell as MuJoCo data, for rendering and inspection; it fits `model(cell)`."""
         return self._batch.get_data(cell)
 
     @property
     def target_delay(self) -> CellIndices:
-        """(n,) ticks from a command's arrival to its effect, as the episodes have it."""
+        """(n,) ticks from a command's arrival to its effect in the present episodes."""
         return np.array([episode.target_delay for episode in self._episodes])
 
     def truth(self, cell: int = 0) -> dict[str, Any]:
-        """What only the simulation knows about a cell, as JSON: for evaluation and tests, never for a controller."""
+        """Return facts about a cell that only the simulation knows, as JSON; for evaluation and tests, never for
+        control.
+        """
         return {
             "hole_position": self.hole_position[cell].tolist(),
             "hole_yaw": float(self.hole_yaw[cell]),
@@ -279,7 +281,7 @@ class World:
 
     @property
     def contained(self) -> npt.NDArray[np.bool_]:
-        """(n,) whether the peg's axis lies inside the hole's outline, and its bottom not beneath the hole's floor."""
+        """(n,) mask: the peg's axis lies inside the hole's outline, and its bottom is not below the hole's floor."""
         walls = np.stack([hole_walls(self._scene.part, c) for c in np.unique(self.clearance)])
         of_cell = walls[np.searchsorted(np.unique(self.clearance), self.clearance)]
         offset = self.offset
@@ -293,7 +295,7 @@ class World:
         return np.sqrt((self._load[:, :3] ** 2).sum(axis=1))
 
     def momentum(self, cell: int = 0) -> tuple[float, float, float]:
-        """Linear momentum of one cell's arm and what it carries, base frame, kg·m/s."""
+        """Return the linear momentum of one cell's arm and its load, base frame, kg·m/s."""
         moving = self._moving
         x0, y0, z0 = self._centre[cell].tolist()
         px = py = pz = 0.0

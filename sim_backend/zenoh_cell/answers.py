@@ -1,39 +1,33 @@
-"""What a simulated cell answers to each query: bytes in, bytes out, no transport and no thread."""
+"""Answers of a simulated cell to each query: bytes in, bytes out, no transport and no thread."""
 
 import json
-from typing import Any, cast
+from typing import Any
 
 import numpy.typing as npt
 
+from sim_backend.requests import RequestError, read_task
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire import records as wire
-from wire.task import Task
 
 MAX_TICKS = 5000
 """Largest number of ticks in one `advance`: 10 s of simulated time, 3 MB of reply."""
 MAX_COMMANDS = 1000
 """Largest number of commands in one message."""
-MAX_OBJECT_BYTES = 4096
-"""Largest JSON object of a request."""
 
 _COMMAND_KINDS = tuple(int(kind) for kind in wire.Kind if kind not in (wire.Kind.STATE, wire.Kind.CAMERA))
 
 
-class RequestError(ValueError):
-    """A request that cannot be carried out and has changed nothing; the text is the reply to the client."""
-
-
 def read_commands(payload: bytes) -> list[npt.NDArray[Any]]:
-    """Read commands off the wire.
+    """Decode commands.
 
     Args:
         payload: one or more `wire.COMMAND` records.
 
     Returns:
-        n read-only records of `wire.COMMAND`, shape (), each of a kind that is a command. Values are not judged here.
+        n read-only records of `wire.COMMAND`, shape (), each of a command kind. Values are not checked here.
 
     Raises:
-        wire.WireError: not that.
+        wire.WireError: the payload is malformed, too long or contains a record that is not a command.
     """
     commands = wire.decode(payload, wire.COMMAND)
     if len(commands) > MAX_COMMANDS:
@@ -45,7 +39,7 @@ def read_commands(payload: bytes) -> list[npt.NDArray[Any]]:
 
 
 def advance(cell: SimulatedCell, parameters: str, payload: bytes) -> bytes:
-    """Apply commands in their order, then let simulated time pass.
+    """Apply commands in order, then advance simulated time.
 
     Args:
         cell: the world to advance.
@@ -68,43 +62,6 @@ def advance(cell: SimulatedCell, parameters: str, payload: bytes) -> bytes:
     return b"".join([cell.tick().tobytes() for _ in range(ticks)])
 
 
-def read_object(payload: bytes, request: str) -> dict[str, Any]:
-    """Read the JSON object of a request.
-
-    Args:
-        payload: of the request, at most `MAX_OBJECT_BYTES`.
-        request: its name, for the error.
-
-    Raises:
-        RequestError: not such an object, or too long.
-    """
-    if len(payload) > MAX_OBJECT_BYTES:
-        raise RequestError(f"{request}: a payload of {len(payload)} bytes, at most {MAX_OBJECT_BYTES}")
-    try:
-        document = json.loads(payload)
-    except (ValueError, RecursionError) as error:
-        raise RequestError(f"{request}: the payload is not JSON: {error}") from error
-    if not isinstance(document, dict):
-        raise RequestError(f"{request}: the payload must be a JSON object")
-    return cast(dict[str, Any], document)
-
-
-def read_task(payload: bytes) -> Task:
-    """Read the task of a reset.
-
-    Args:
-        payload: JSON object of a `Task`, such as `{"seed": 0}`.
-
-    Raises:
-        RequestError: not such an object, or a field is unknown, missing or out of range; the text names it.
-    """
-    document = read_object(payload, "reset")
-    try:
-        return Task.from_json(document)
-    except ValueError as error:
-        raise RequestError(f"reset: {error}") from error
-
-
 def reset(cell: SimulatedCell, payload: bytes) -> bytes:
     """Lay the world out anew.
 
@@ -116,7 +73,7 @@ def reset(cell: SimulatedCell, payload: bytes) -> bytes:
         One record of `wire.STATE`.
 
     Raises:
-        RequestError: as `read_task`; or the task cannot be laid out.
+        RequestError: as `read_task`, or the task cannot be laid out.
     """
     task = read_task(payload)
     try:
@@ -126,7 +83,7 @@ def reset(cell: SimulatedCell, payload: bytes) -> bytes:
 
 
 def truth(cell: SimulatedCell) -> bytes:
-    """The world's true state as JSON."""
+    """Return the world's true state as JSON."""
     return json.dumps(cell.truth()).encode()
 
 

@@ -1,4 +1,4 @@
-"""One simulated cell behind the wire schema: what the Zenoh server and the in-process driver both talk to."""
+"""One simulated cell behind the wire schema, used by the Zenoh server and the in-process driver."""
 
 import secrets
 from typing import Any
@@ -25,7 +25,7 @@ _ENGAGE_RANGES = {
     "force_ceiling": (1e-6, 1e4),
     "target_age": (TICK_S, 60.0),
 }
-"""What the control program can compute with, in the units of the wire: far wider than sane. Else ENGAGE is ignored."""
+"""Values with which the control program can compute, in wire units; far wider than sane. Others make ENGAGE ignored."""
 
 _ONLY = np.array([0])
 
@@ -53,14 +53,14 @@ class SimulatedCell:
         return self._world.model()
 
     def data(self) -> mujoco.MjData:
-        """The present state as MuJoCo data, for rendering; it goes with `model()`."""
+        """Return the present state as MuJoCo data, for rendering; it fits `model()`."""
         return self._world.data()
 
     def reset(self, task: Task) -> RecordArray:
-        """Lay the world out anew; the control program is idle afterwards. Returns the state before its first tick.
+        """Lay the world out anew and leave the control program idle. Return the state before the first tick.
 
         Raises:
-            ValueError: the task's part is another, or a value is out of range.
+            ValueError: the task's part is unknown, or a value is out of range.
         """
         task.check()
         if task.part != self.part:
@@ -73,7 +73,7 @@ class SimulatedCell:
         return self.state()
 
     def apply(self, command: RecordArray) -> None:
-        """Carry out one `wire.COMMAND` record. Never raises: what is not for this world or not allowed is ignored."""
+        """Carry out one `wire.COMMAND` record. Never raises: commands for another world or not allowed are ignored."""
         kind, client = int(command["kind"]), int(command["client"])
         arm = self._world.arm
         if kind == Kind.STOP:
@@ -87,7 +87,7 @@ class SimulatedCell:
             seq = int(command["seq"])
             if client != self._client or seq <= self._command_seq:
                 return
-            with np.errstate(over="ignore", invalid="ignore"):  # the arm refuses what is not finite
+            with np.errstate(over="ignore", invalid="ignore"):  # the arm refuses values that are not finite
                 turn = quaternion.from_rotvec(np.asarray(command["rotvec"], float)[None])
                 if arm.set_target(_ONLY, np.asarray(command["position"], float)[None], turn)[0]:
                     self._command_seq = seq
@@ -97,13 +97,13 @@ class SimulatedCell:
             arm.unlock(_ONLY)
 
     def tick(self) -> RecordArray:
-        """Advance by one tick; returns the new state, (1,) of `wire.STATE`."""
+        """Advance by one tick; return the new state, (1,) of `wire.STATE`."""
         self._world.tick()
         self._seq += 1
         return self.state()
 
     def state(self) -> RecordArray:
-        """The present state, (1,) of `wire.STATE`."""
+        """Return the present state, (1,) of `wire.STATE`."""
         world, arm = self._world, self._world.arm
         record = new(STATE, Kind.STATE)
         row = record[0]
@@ -126,7 +126,7 @@ class SimulatedCell:
         return record
 
     def truth(self) -> dict[str, Any]:
-        """What only the simulation knows: for evaluation and tests, never for the control process."""
+        """Return facts that only the simulation knows; for evaluation and tests, never for the control process."""
         return {"task": self._task.to_json(), **self._world.truth()}
 
     def _engage(self, command: RecordArray, client: int) -> None:

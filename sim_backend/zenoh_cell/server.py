@@ -1,11 +1,10 @@
-"""One simulated cell on a Zenoh session: a single thread owns the world, everything else is queued to it.
+"""One simulated cell on a Zenoh session: a single thread owns the world, all messages are queued to it.
 
-Zenoh's own threads only fill bounded channels; they never touch the world, and a full channel holds back its sender.
+Zenoh's own threads only fill bounded channels and never touch the world. A full channel blocks its sender.
 """
 
 import json
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, NoReturn
@@ -14,6 +13,7 @@ import numpy.typing as npt
 import zenoh
 
 from sim_backend.metronome import Metronome
+from sim_backend.requests import RequestError, asked, query_keys
 from sim_backend.zenoh_cell import answers
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire import keys
@@ -23,13 +23,13 @@ from wire.realtime import freeze_garbage, has_realtime_scheduling
 _QUERY_CAPACITY = 64
 _COMMAND_CAPACITY = 256
 MAX_COMMANDS_PER_TICK = 32
-"""Commands that one tick applies; of more, the newest are kept. STOP is never among those dropped."""
+"""Commands that one tick applies; if more arrive, the newest are kept. STOP is never dropped."""
 
 _QUERIES = {"advance": keys.ADVANCE, "reset": keys.RESET, "info": keys.INFO, "truth": keys.TRUTH}
 
 
 class Pace(StrEnum):
-    """Who lets simulated time pass."""
+    """Clock of a simulated world: the wall clock, or its client's requests."""
 
     REAL_TIME = "real-time"
     LOCKSTEP = "lockstep"
@@ -37,7 +37,7 @@ class Pace(StrEnum):
 
 @dataclass(slots=True)
 class Counters:
-    """What became of messages and ticks since the start; part of the answer to `info`."""
+    """Counts of messages and ticks since the start; part of the answer to `info`."""
 
     ticks: int = 0
     overruns: int = 0
@@ -49,33 +49,6 @@ class Counters:
     queries_refused: int = 0
 
 
-def query_keys(world: str, queries: Mapping[str, str]) -> dict[str, zenoh.KeyExpr]:
-    """Return the keys of a world's queries by name.
-
-    Args:
-        world: name of the world in its keys.
-        queries: patterns of `protocol/keys.py` by name.
-
-    Raises:
-        ValueError: `world` cannot stand in a key.
-    """
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", world):
-        raise ValueError(f"world {world!r}: use letters, digits, '-', '_' and '.', at most 64")
-    return {name: zenoh.KeyExpr(key.format(world=world)) for name, key in queries.items()}
-
-
-def asked(query: zenoh.Query, keys: Mapping[str, zenoh.KeyExpr]) -> str:
-    """Return the name of the one query that is asked.
-
-    Raises:
-        RequestError: its key names none of `keys`, or several.
-    """
-    names = [name for name, key in keys.items() if query.key_expr.intersects(key)]
-    if len(names) != 1:
-        raise answers.RequestError(f"{query.key_expr} names {len(names)} queries, ask one of {', '.join(keys)}")
-    return names[0]
-
-
 class Server:
     """Serves one world under `sim/<world>/`; the thread that calls `run` owns the cell."""
 
@@ -85,14 +58,14 @@ class Server:
         """Declare the keys.
 
         Args:
-            cell: the world, laid out.
-            session: open; the caller closes it after `run`.
+            cell: world, laid out.
+            session: open session; the caller closes it after `run`.
             world: name of the world in its keys.
-            mode: who lets time pass.
-            degraded: what the host refused to grant, for `info`.
+            mode: clock of the world.
+            degraded: grants that the host refused, for `info`.
 
         Raises:
-            ValueError: `world` cannot stand in a key.
+            ValueError: a key cannot contain `world`.
         """
         self.counters = Counters()
         self._cell = cell
@@ -112,14 +85,14 @@ class Server:
             )
 
     def run(self) -> NoReturn:
-        """Serve until an exception, such as a signal handler's SystemExit, ends it; nothing is served afterwards."""
+        """Serve until an exception such as a signal handler's SystemExit; nothing is served afterwards."""
         try:
             if self._mode is Pace.REAL_TIME:
                 self._run_in_real_time()
             while True:
                 self._answer(self._queries.recv())
         finally:
-            # A Zenoh thread that waits at a full channel would hold up the session's end for ten seconds.
+            # A Zenoh thread that waits at a full channel would delay the end of the session by ten seconds.
             self._queries.undeclare()
             if self._mode is Pace.REAL_TIME:
                 self._commands.undeclare()
@@ -141,7 +114,7 @@ class Server:
                 metronome.restart()
 
     def _take_commands(self) -> list[npt.NDArray[Any]]:
-        """Return what arrived since the last tick: stops first, then what came after the last stop, in order."""
+        """Return the commands since the last tick: stops first, then those after the last stop, in order."""
         stops: list[npt.NDArray[Any]] = []
         others: list[npt.NDArray[Any]] = []
         for _ in range(_COMMAND_CAPACITY):
@@ -166,12 +139,12 @@ class Server:
         return kept
 
     def _answer(self, query: zenoh.Query) -> bool:
-        """Reply to one query; return whether it laid out the world, which takes longer than a tick."""
+        """Reply to one query; return True if it laid out the world, which takes longer than a tick."""
         with query:
             try:
                 name = asked(query, self._keys)
                 reply = self._carry_out(name, query)
-            except answers.RequestError as error:
+            except RequestError as error:
                 self.counters.queries_refused += 1
                 query.reply_err(str(error), encoding=zenoh.Encoding.TEXT_PLAIN)
                 return False
@@ -189,7 +162,7 @@ class Server:
         if name == "info":
             return self._info()
         if self._mode is Pace.REAL_TIME:
-            raise answers.RequestError("advance: this world runs in real time and lets its time pass by itself")
+            raise RequestError("advance: this world runs in real time; only a lockstep world is advanced by its client")
         reply = answers.advance(self._cell, str(query.parameters), payload)
         self.counters.ticks += len(reply) // wire.STATE.itemsize
         self.counters.commands += len(payload) // wire.COMMAND.itemsize

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from service.faults import FaultCode
-from service.messages import CellState, Problem, Reason
+from service.messages import CellState, Problem, RefusalReason
 from tests.api.wire_cell import RECIPE, Api, WireCell, serving, until
 
 PROBLEM = "application/problem+json"
@@ -58,7 +58,9 @@ async def test_a_latched_cell_refuses_a_start_with_the_code(api: Api, cell: Wire
 
 async def test_a_policy_that_does_not_fit_is_422_with_the_mismatch(api: Api, cell: WireCell) -> None:
     cell.refuse_start = Problem(
-        reason=Reason.POLICY_REFUSED, detail="the policy wants hole_position, the cell has no camera", field="recipe"
+        reason=RefusalReason.POLICY_REFUSED,
+        detail="the policy wants hole_position, the cell has no camera",
+        field="recipe",
     )
     response = await api.http.post("/start", json={"recipe": RECIPE})
     assert response.status_code == 422

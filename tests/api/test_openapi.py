@@ -6,7 +6,7 @@ import pytest
 
 from api.application import build_routes
 from api.problems import STATUS_OF_REASON
-from service.messages import Reason
+from service.messages import RefusalReason
 
 SNAPSHOT = Path(__file__).with_name("openapi.json")
 UPDATE = f"python -m api.openapi > {SNAPSHOT.relative_to(Path(__file__).parents[2])}"
@@ -63,4 +63,4 @@ def test_every_body_has_an_example(document: dict[str, Any]) -> None:
 
 
 def test_every_reason_of_the_control_process_has_a_status() -> None:
-    assert set(STATUS_OF_REASON) == set(Reason)
+    assert set(STATUS_OF_REASON) == set(RefusalReason)

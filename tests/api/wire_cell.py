@@ -28,7 +28,7 @@ from service.messages import (
     Measured,
     Message,
     Problem,
-    Reason,
+    RefusalReason,
     Refused,
     ResetRequest,
     Run,
@@ -242,9 +242,9 @@ class WireCell:
             if self.refuse_start is not None:
                 return Refused(problem=self.refuse_start)
             if self.latch is not None:
-                return self._refused(Reason.LATCHED, "reset first", code=self.latch.code)
+                return self._refused(RefusalReason.LATCHED, "reset first", code=self.latch.code)
             if self.state is not CellState.READY:
-                return self._refused(Reason.WRONG_STATE, f"the cell is {self.state}")
+                return self._refused(RefusalReason.WRONG_STATE, f"the cell is {self.state}")
             run = Run(
                 id=f"run-{len(self.runs) + 1}",
                 recipe=request.recipe,
@@ -273,9 +273,9 @@ class WireCell:
         with self._lock:
             self.resets.append(request)
             if self.latch is None:
-                return self._refused(Reason.NOT_LATCHED, "nothing is latched")
+                return self._refused(RefusalReason.NOT_LATCHED, "nothing is latched")
             if request.acknowledge not in {None, self.latch.code}:
-                return self._refused(Reason.WRONG_STATE, "another fault is in force", code=self.latch.code)
+                return self._refused(RefusalReason.WRONG_STATE, "another fault is in force", code=self.latch.code)
             self.latch, self.state = None, CellState.READY
             return StatusResult(status=self.status())
 
@@ -292,9 +292,9 @@ class WireCell:
         for run in self.runs:
             if run.id == request.run_id:
                 return RunResult(run=run, created=False)
-        return self._refused(Reason.UNKNOWN_RUN, f"no run {request.run_id}")
+        return self._refused(RefusalReason.UNKNOWN_RUN, f"no run {request.run_id}")
 
-    def _refused(self, reason: Reason, detail: str, code: FaultCode | None = None) -> Refused:
+    def _refused(self, reason: RefusalReason, detail: str, code: FaultCode | None = None) -> Refused:
         return Refused(problem=Problem(reason=reason, detail=detail, code=code, state=self.state))
 
     def _on_start(self, query: zenoh.Query) -> None:

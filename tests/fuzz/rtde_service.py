@@ -6,7 +6,8 @@ import math
 import atheris
 from fuzzing import fuzz
 
-from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.assembly import make_controller
+from sim_backend.ur_controller.outputs import Outputs
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.world.world import World
 
@@ -35,8 +36,8 @@ class Client:
         self.closed = True
 
 
-controller = Controller(Plant(World(1, "tr")))
-service = RtdeService(controller)
+controller = make_controller(Plant(World(1, "tr")))
+service = RtdeService(controller, Outputs(controller))
 
 
 def package(provider: atheris.FuzzedDataProvider, recipes: list[list[str]]) -> bytes:

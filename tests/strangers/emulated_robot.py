@@ -188,7 +188,7 @@ class _Process:
     """The served side: one controller, its server, and the answers to the test's questions."""
 
     def __init__(self, hosts: Sequence[str]) -> None:
-        from sim_backend.ur_controller.controller import Controller
+        from sim_backend.ur_controller.assembly import make_controller
         from sim_backend.ur_controller.listener import ListenError
         from sim_backend.ur_controller.plant import Plant
         from sim_backend.ur_controller.server import ControllerServer, Ports
@@ -196,7 +196,7 @@ class _Process:
 
         self._world = World(1, "tr")
         for self.host in hosts:
-            self._controller = Controller(Plant(self._world))
+            self._controller = make_controller(Plant(self._world))
             try:
                 self._server = ControllerServer(self._controller, self.host, Ports())
                 break

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sim_backend.ur_controller.server import Counters as UrCounters
-from sim_backend.ur_controller.stage import PRESSES
+from sim_backend.ur_controller.surroundings import PRESSES
 from sim_backend.zenoh_cell import answers, server
 from wire import keys, task
 from wire import records as wire

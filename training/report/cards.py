@@ -156,8 +156,8 @@ def _glance(cards: Sequence[Card]) -> Iterator[Block]:
     yield Paragraph(
         f"{len(cards)} policies, {size:.0f} kB in all. `dsl-assembly report` writes this page from each file's "
         "contract ([policy-contract.md](reference/policy-contract.md)) and from `results/`, and says nothing that they "
-        "do not say, but for the use and the known weakness of a model, which are in `training/report/cards.toml`. Results of "
-        "another file of the same name do not count."
+        "do not say, but for the use and the known weakness of a model, which are in "
+        "`training/report/cards.toml`. Results of another file of the same name do not count."
     )
     yield Paragraph(
         "All results are from simulation. Policies are deterministic; clearances are per face; intervals are 95 % "

@@ -1,20 +1,20 @@
-"""What can be wrong with bytes of the primary interface."""
+"""Errors in the bytes of the primary interface."""
 
 from enum import StrEnum
 
 
-class Reason(StrEnum):
-    """Why bytes are no primary package."""
+class PrimaryErrorReason(StrEnum):
+    """Kinds of `PrimaryError`."""
 
     FRAMING = "framing"
-    """A size that no package has; the stream cannot be followed any further."""
+    """A size that no package has; the rest of the stream cannot be read."""
     MALFORMED = "malformed"
-    """A content that does not fit its type."""
+    """Content that does not fit its type."""
 
 
 class PrimaryError(ValueError):
-    """Bytes that are no primary package; `reason` says which kind, the text where and what."""
+    """Bytes that are no primary package; `reason` gives the kind, the text says where and what."""
 
-    def __init__(self, reason: Reason, text: str) -> None:
+    def __init__(self, reason: PrimaryErrorReason, text: str) -> None:
         super().__init__(text)
         self.reason = reason

@@ -10,7 +10,7 @@ from enum import IntEnum
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
-from wire.primary.errors import PrimaryError, Reason
+from wire.primary.errors import PrimaryError, PrimaryErrorReason
 
 PROGRAM_STARTED = "PROGRAM_XXX_STARTED"
 PROGRAM_STOPPED = "PROGRAM_XXX_STOPPED"
@@ -41,7 +41,7 @@ class MessageType(IntEnum):
 
 
 class Source(IntEnum):
-    """Who sends a message."""
+    """Senders of messages."""
 
     ROBOT_INTERFACE = -2
     RUNTIME = -3
@@ -49,7 +49,7 @@ class Source(IntEnum):
 
 
 class ReportLevel(IntEnum):
-    """How grave an error code is."""
+    """Severity of an error code."""
 
     DEBUG = 0
     INFO = 1
@@ -67,7 +67,7 @@ class ReportLevel(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What a robot message says, apart from its time and source."""
+    """Content of a robot message, apart from its time and source."""
 
     TYPE: ClassVar[MessageType]
 
@@ -87,7 +87,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Text(Message):
-    """A line from a script, as by `textmsg`."""
+    """A line from a script, such as `textmsg` sends."""
 
     TYPE = MessageType.TEXT
 
@@ -105,7 +105,7 @@ class Text(Message):
 
 @dataclass(frozen=True, slots=True)
 class Version(Message):
-    """First message of a connection: which controller this is."""
+    """First message of a connection; it identifies the controller."""
 
     TYPE = MessageType.VERSION
 
@@ -166,11 +166,11 @@ class ErrorCode(Message):
     """An error of the controller, `C<code>A<argument>` in its log.
 
     Attributes:
-        code: 210 says that the connection was made in local control and cannot command.
-        argument: which case of the error.
-        level: a `ReportLevel`; a newer controller may have others.
+        code: 210 means that the connection was made in local control and cannot command.
+        argument: case of the error.
+        level: a `ReportLevel`; a newer controller may send others.
         text: detail.
-        data_type: what `data` is.
+        data_type: type of `data`.
         data: further detail.
     """
 
@@ -201,7 +201,7 @@ class ErrorCode(Message):
 
 @dataclass(frozen=True, slots=True)
 class SafetyMode(Message):
-    """The safety mode has changed; UR numbering."""
+    """A change of the safety mode, in UR numbering."""
 
     TYPE = MessageType.SAFETY_MODE
 
@@ -228,7 +228,7 @@ class SafetyMode(Message):
 
 @dataclass(frozen=True, slots=True)
 class RuntimeException(Message):
-    """A script failed, while it was compiled or while it ran; line and column count from 1."""
+    """A script failed to compile or failed while it ran; line and column count from 1."""
 
     TYPE = MessageType.RUNTIME_EXCEPTION
 
@@ -285,12 +285,12 @@ class Popup(Message):
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A robot message as it came.
+    """A robot message as received.
 
     Attributes:
-        timestamp_us: the controller's time; some controllers leave it 0.
-        source: a `Source`, or another.
-        message: None where its type is not known here.
+        timestamp_us: time of the controller, µs; some controllers leave it 0.
+        source: a `Source`, or a number unknown here.
+        message: content; None if its type is unknown here.
     """
 
     timestamp_us: int
@@ -321,7 +321,7 @@ def decode_message(content: bytes) -> Received:
 
 def _unpack(layout: struct.Struct, data: bytes, what: str) -> tuple[Any, ...]:
     if len(data) < layout.size:
-        raise PrimaryError(Reason.MALFORMED, f"{what} has {len(data)} bytes, it needs {layout.size}")
+        raise PrimaryError(PrimaryErrorReason.MALFORMED, f"{what} has {len(data)} bytes, it needs {layout.size}")
     return layout.unpack_from(data)
 
 
@@ -335,9 +335,9 @@ def _cut(title: str) -> bytes:
 
 
 def _split_title(data: bytes, what: str) -> tuple[str, bytes]:
-    """Read a text whose length stands before it, and what follows."""
+    """Split off a text that its length precedes; return the text and the rest."""
     if not data or len(data) < 1 + data[0]:
-        raise PrimaryError(Reason.MALFORMED, f"{what} ends within its title")
+        raise PrimaryError(PrimaryErrorReason.MALFORMED, f"{what} ends within its title")
     return _text(data[1 : 1 + data[0]]), data[1 + data[0] :]
 
 

@@ -1,22 +1,22 @@
-"""Packages of the primary interface out of a stream of bytes, and into it."""
+"""Framing of primary packages: bytes of a stream to packages, and back."""
 
 import struct
 from collections.abc import Iterator
 from enum import IntEnum
 
-from wire.primary.errors import PrimaryError, Reason
+from wire.primary.errors import PrimaryError, PrimaryErrorReason
 
 PORT = 30001
 SECONDARY_PORT = 30002
 STATE_HZ = 10
 LIMIT = 1 << 16
-"""Bytes of the largest package that a reader takes; a robot's state has some 1400."""
+"""Size of the largest package that a reader accepts, bytes; a robot state has about 1400."""
 
 _HEADER = struct.Struct(">iB")
 
 
 class PackageType(IntEnum):
-    """What a package holds; a controller sends further types, which readers pass over."""
+    """Content of a package. A controller sends further types, which readers skip."""
 
     ROBOT_STATE = 16
     ROBOT_MESSAGE = 20
@@ -28,17 +28,17 @@ def frame(kind: int, content: bytes) -> bytes:
 
 
 class PackageReader:
-    """Cuts a stream into packages, however it arrives; holds no more than one package."""
+    """Cuts a stream into packages, whatever its chunks; holds no more than one package."""
 
     def __init__(self, limit: int = LIMIT) -> None:
         self._limit = limit
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Yield type and content of every package that is complete.
+        """Yield type and content of every complete package.
 
         Raises:
-            PrimaryError: FRAMING; the stream cannot be followed any further.
+            PrimaryError: FRAMING; the rest of the stream cannot be read.
         """
         self._buffer += data
         at = 0
@@ -46,7 +46,7 @@ class PackageReader:
             while len(self._buffer) - at >= _HEADER.size:
                 size, kind = _HEADER.unpack_from(self._buffer, at)
                 if not _HEADER.size <= size <= self._limit:
-                    raise PrimaryError(Reason.FRAMING, f"a package of type {kind} claims {size} bytes")
+                    raise PrimaryError(PrimaryErrorReason.FRAMING, f"a package of type {kind} claims {size} bytes")
                 if len(self._buffer) - at < size:
                     break
                 content = bytes(self._buffer[at + _HEADER.size : at + size])

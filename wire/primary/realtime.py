@@ -1,7 +1,7 @@
 """Real-time interface, TCP 30003: one package of doubles per control tick, in the e-Series layout of 5.11 and newer.
 
-Sent by every e-Series controller and older than RTDE, which replaces it; clients that only upload scripts connect here
-too. Robots newer than a client append values at its end.
+Every e-Series controller sends it. It is older than RTDE, which replaces it; clients that only upload scripts connect
+here too. A robot newer than its client appends values at the end of the package.
 """
 
 import struct
@@ -52,7 +52,7 @@ FIELDS: tuple[tuple[str, int], ...] = (
     ("payload_cog", 3),
     ("payload_inertia", 6),
 )
-"""What stands in the package, by RTDE's names, and how many values each has; reserved values have no name."""
+"""Content of the package: RTDE's name of each field and its number of values. Reserved fields have no name."""
 
 _DOUBLES = struct.Struct(f">i{sum(count for _, count in FIELDS)}d")
 SIZE = _DOUBLES.size
@@ -69,10 +69,10 @@ def encode(values: Sequence[float]) -> bytes:
 
 
 def decode(package: bytes) -> Mapping[str, float | tuple[float, ...]]:
-    """Read a package of at least `SIZE` bytes; gives scalars and vectors by name.
+    """Read a package of at least `SIZE` bytes; return scalars and vectors by name.
 
     Raises:
-        ValueError: it is shorter.
+        ValueError: the package is shorter.
     """
     if len(package) < SIZE:
         raise ValueError(f"a real-time package has {len(package)} bytes, it needs {SIZE}")

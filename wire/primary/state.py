@@ -1,7 +1,7 @@
-"""What a robot state of the primary interface holds: its sub-packages, encoded and decoded.
+"""Robot state of the primary interface: its sub-packages, encoded and decoded.
 
-Each is a frozen row of fields in the order of the wire. Layouts are those of the vendor's client interface document for
-e-Series 5.x, as recordings of a controller confirm.
+Each sub-package is a frozen dataclass with fields in the order of the wire. Layouts are those of the vendor's client
+interface document for e-Series 5.x; recordings of a controller confirm them.
 """
 
 import struct
@@ -11,7 +11,7 @@ from enum import IntEnum
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
-from wire.primary.errors import PrimaryError, Reason
+from wire.primary.errors import PrimaryError, PrimaryErrorReason
 
 Vector = tuple[float, ...]
 
@@ -37,7 +37,7 @@ class StateType(IntEnum):
 
 
 class Layout:
-    """Fields in a row, as letters of `struct`; `6d` is a vector of six, as a tuple."""
+    """Sequence of fields, as letters of `struct`; `6d` is a vector of six, as a tuple."""
 
     def __init__(self, letters: str) -> None:
         self._counts = [int(word[:-1] or 0) for word in letters.split()]
@@ -56,16 +56,16 @@ class Layout:
         try:
             return self._struct.pack(*flat)
         except (struct.error, OverflowError) as error:
-            raise PrimaryError(Reason.MALFORMED, f"{values!r} cannot be encoded: {error}") from error
+            raise PrimaryError(PrimaryErrorReason.MALFORMED, f"{values!r} cannot be encoded: {error}") from error
 
     def unpack(self, data: bytes, what: str) -> tuple[Any, ...]:
-        """Decode one value per field; bytes beyond the last one are passed over.
+        """Decode one value per field; bytes after the last field are ignored.
 
         Raises:
-            PrimaryError: MALFORMED, there are too few bytes; names `what`.
+            PrimaryError: MALFORMED, there are too few bytes; the text names `what`.
         """
         if len(data) < self.size:
-            raise PrimaryError(Reason.MALFORMED, f"{what} has {len(data)} bytes, it needs {self.size}")
+            raise PrimaryError(PrimaryErrorReason.MALFORMED, f"{what} has {len(data)} bytes, it needs {self.size}")
         flat = self._struct.unpack_from(data)
         values: list[Any] = []
         at = 0
@@ -77,7 +77,7 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class SubPackage:
-    """A part of a robot state; a newer controller's may be longer than known here, its surplus is passed over."""
+    """A part of a robot state. A newer controller may send more bytes than are known here; the surplus is ignored."""
 
     TYPE: ClassVar[StateType]
     LAYOUT: ClassVar[Layout]
@@ -99,7 +99,7 @@ class SubPackage:
 
 @dataclass(frozen=True, slots=True)
 class RobotMode(SubPackage):
-    """Modes of the arm and of its program, in UR numbering; fractions of the set speed."""
+    """Modes of the arm and of its program, in UR numbering, and fractions of the set speed."""
 
     TYPE = StateType.ROBOT_MODE
     LAYOUT = Layout("Q ? ? ? ? ? ? ? b B d d d B")
@@ -122,7 +122,7 @@ class RobotMode(SubPackage):
 
 @dataclass(frozen=True, slots=True)
 class Joint(SubPackage):
-    """One joint, rad, rad/s, A, V and °C; mode in UR numbering, 253 is running."""
+    """One joint: rad, rad/s, A, V and °C; mode in UR numbering, where 253 is running."""
 
     TYPE = StateType.JOINT
     LAYOUT = Layout("d d d f f f f B")
@@ -237,7 +237,7 @@ class Masterboard(SubPackage):
 
 @dataclass(frozen=True, slots=True)
 class Cartesian(SubPackage):
-    """TCP pose in base axes and TCP offset from the flange: m and a rotation vector in rad."""
+    """TCP pose in base axes, and TCP offset from the flange: m and a rotation vector in rad."""
 
     TYPE = StateType.CARTESIAN
     LAYOUT = Layout("6d 6d")
@@ -248,7 +248,7 @@ class Cartesian(SubPackage):
 
 @dataclass(frozen=True, slots=True)
 class Kinematics(SubPackage):
-    """Denavit-Hartenberg parameters as calibrated, m and rad."""
+    """Calibrated Denavit-Hartenberg parameters, m and rad."""
 
     TYPE = StateType.KINEMATICS
     LAYOUT = Layout("6I 6d 6d 6d 6d I")
@@ -263,7 +263,7 @@ class Kinematics(SubPackage):
 
 @dataclass(frozen=True, slots=True)
 class Configuration(SubPackage):
-    """Limits and defaults of the joints and of the tool, nominal kinematics, and which robot it is."""
+    """Limits and defaults of the joints and the tool, nominal kinematics, and the type of the robot."""
 
     TYPE = StateType.CONFIGURATION
     LAYOUT = Layout("12d 12d d d d d d 6d 6d 6d 6d i i i i")
@@ -328,7 +328,7 @@ class ToolCommunication(SubPackage):
 
 @dataclass(frozen=True, slots=True)
 class ToolMode(SubPackage):
-    """How the outputs at the flange are driven."""
+    """Drive modes of the outputs at the flange."""
 
     TYPE = StateType.TOOL_MODE
     LAYOUT = Layout("B B B")
@@ -365,10 +365,10 @@ def decode_state(content: bytes) -> list[SubPackage]:
     at = 0
     while at < len(content):
         if len(content) - at < _HEADER.size:
-            raise PrimaryError(Reason.MALFORMED, f"a robot state ends within the header at byte {at}")
+            raise PrimaryError(PrimaryErrorReason.MALFORMED, f"a robot state ends within the header at byte {at}")
         size, kind = _HEADER.unpack_from(content, at)
         if not _HEADER.size <= size <= len(content) - at:
-            raise PrimaryError(Reason.MALFORMED, f"sub-package {kind} at byte {at} claims {size} bytes")
+            raise PrimaryError(PrimaryErrorReason.MALFORMED, f"sub-package {kind} at byte {at} claims {size} bytes")
         if kind in _KNOWN:
             parts.append(_KNOWN[kind].decode(content[at + _HEADER.size : at + size]))
         at += size

@@ -1,4 +1,4 @@
 """RTDE, the real-time data exchange of UR controllers, as bytes: fields, packages and errors; no sockets.
 
-Used by both ends: the driver (`service/drivers/ur`) and the emulated controller (`sim_backend/ur_controller`).
+Both ends use it: the driver (`service/drivers/ur`) and the emulated controller (`sim_backend/ur_controller`).
 """

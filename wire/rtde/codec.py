@@ -1,7 +1,7 @@
 """Framing and data packages of RTDE, protocol versions 1 and 2.
 
-Source: UR's RTDE guide. Everything is big-endian. A package is a header (total size including the header `uint16`,
-type `uint8`) and a payload. `encode()` gives a whole package, `decode()` takes a payload.
+Source: UR's RTDE guide. All numbers are big-endian. A package is a header (total size including the header `uint16`,
+type `uint8`) and a payload. `encode()` returns a whole package, `decode()` takes a payload.
 """
 
 import struct
@@ -10,19 +10,19 @@ from enum import IntEnum
 from operator import itemgetter
 from typing import Any, cast
 
-from wire.rtde.errors import FramingError, PackageError, Reason
+from wire.rtde.errors import FramingError, PackageError, RtdeErrorReason
 from wire.rtde.fields import FieldType
 
 SIZE_LIMIT = 0xFFFF
 """Largest package that a header can announce."""
 REQUEST_LIMIT = 4096
-"""Largest package that a client has reason to send: a list of names, or values of as many variables."""
+"""Largest package that a client needs to send: a list of names, or the values of as many variables."""
 
 Value = bool | int | float | Sequence[int] | Sequence[float]
-"""Of one variable, to be sent: a scalar, or as many numbers as its vector has."""
+"""Value of one variable to be sent: a scalar, or a sequence of its vector's length."""
 
 Decoded = bool | int | float | tuple[int | float, ...]
-"""Of one variable, as received."""
+"""Received value of one variable."""
 
 _HEADER = struct.Struct(">HB")
 HEADER_SIZE = _HEADER.size
@@ -49,15 +49,17 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
     """
     size = HEADER_SIZE + len(payload)
     if size > SIZE_LIMIT:
-        raise PackageError(Reason.MALFORMED, f"a package holds at most {SIZE_LIMIT} bytes, this one has {size}")
+        raise PackageError(
+            RtdeErrorReason.MALFORMED, f"a package holds at most {SIZE_LIMIT} bytes, this one has {size}"
+        )
     return _HEADER.pack(size, kind) + payload
 
 
 class FrameReader:
-    """Cuts a stream of bytes into packages, however it was chunked. Holds at most one package and one chunk.
+    """Cuts a stream of bytes into packages, whatever its chunks. Holds at most one package and one chunk.
 
     Attributes:
-        limit: largest package accepted, bytes with header; a smaller one finds a broken stream earlier.
+        limit: largest package accepted, bytes with header; a smaller limit detects a broken stream earlier.
     """
 
     def __init__(self, limit: int = SIZE_LIMIT) -> None:
@@ -67,13 +69,13 @@ class FrameReader:
         self._error: str | None = None
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Take `data` in and return the packages that are complete now, as type and payload, in order.
+        """Append `data` and return the packages that are now complete, as type and payload, in order.
 
-        Packages left unread stay for the next call. A type that RTDE does not have is passed on as it is.
+        Unread packages remain for the next call. A type that RTDE does not have is returned unchanged.
 
         Raises:
-            FramingError: a length that no package has, after the good packages before it were given out; and again
-                on every later call, since the stream cannot be trusted any more.
+            FramingError: a length that no package has. It is raised after the good packages before it, and again on
+                every later call, since the stream can no longer be trusted.
         """
         self._held = self._held[self._at :] + data if self._at < len(self._held) else data
         self._at = 0
@@ -97,25 +99,28 @@ class FrameReader:
 
 
 class Recipe:
-    """Variables of a data package in their order, with a compiled layout.
+    """Variables of a data package in order, with a compiled layout.
 
     Attributes:
-        names: of the variables.
-        types: of the variables.
-        recipe_id: as the controller gave it; None for an output recipe of protocol version 1, which has no id.
-        size: bytes of a payload.
+        names: names of the variables.
+        types: types of the variables.
+        recipe_id: number given by the controller; None for an output recipe of protocol version 1, which has none.
+        size: size of a payload, bytes.
     """
 
     def __init__(self, names: Sequence[str], types: Sequence[FieldType], recipe_id: int | None) -> None:
         """Compile the layout.
 
         Raises:
-            PackageError: as many types as names are needed, at least one, an id of one byte, and a package that fits.
+            PackageError: names and types differ in number, there are none, the id exceeds one byte, or the package is
+                too long.
         """
         if len(names) != len(types) or not names:
-            raise PackageError(Reason.MALFORMED, f"{len(names)} variables and {len(types)} types make no recipe")
+            raise PackageError(
+                RtdeErrorReason.MALFORMED, f"{len(names)} variables and {len(types)} types make no recipe"
+            )
         if recipe_id is not None and not 0 <= recipe_id <= 0xFF:
-            raise PackageError(Reason.MALFORMED, f"a recipe's id is one byte, not {recipe_id}")
+            raise PackageError(RtdeErrorReason.MALFORMED, f"a recipe's id is one byte, not {recipe_id}")
         self.names = tuple(names)
         self.types = tuple(types)
         self.recipe_id = recipe_id
@@ -125,7 +130,9 @@ class Recipe:
         self._package = struct.Struct(f">HB{head}{body}")
         self.size = self._payload.size
         if self._package.size > SIZE_LIMIT:
-            raise PackageError(Reason.MALFORMED, f"a package of {self._package.size} bytes is more than {SIZE_LIMIT}")
+            raise PackageError(
+                RtdeErrorReason.MALFORMED, f"a package of {self._package.size} bytes is more than {SIZE_LIMIT}"
+            )
         self._start = (self._package.size, PackageType.DATA, *(() if recipe_id is None else (recipe_id,)))
         self._counts = tuple(kind.count for kind in types)
         self._group = _grouping(self._counts, len(head))
@@ -134,7 +141,7 @@ class Recipe:
         """Return a whole data package with `values`, one for each variable in order.
 
         Raises:
-            PackageError: a value that is missing, not of its variable's type or out of its range.
+            PackageError: a value is missing, not of its variable's type or out of its range.
         """
         flat: list[Any] = [*self._start]
         try:
@@ -147,24 +154,24 @@ class Recipe:
                     raise ValueError
             return self._package.pack(*flat)
         except (struct.error, TypeError, ValueError, OverflowError):
-            raise PackageError(Reason.WRONG_VALUE, self._fault(values)) from None
+            raise PackageError(RtdeErrorReason.WRONG_VALUE, self._fault(values)) from None
 
     def decode(self, payload: bytes) -> tuple[Decoded, ...]:
         """Return the values of a data package's payload: a number, or a tuple of them, for each variable in order.
 
         Raises:
-            PackageError: another length or another recipe id than this recipe's.
+            PackageError: the length or the recipe id is not this recipe's.
         """
         if self.recipe_id is not None and payload and payload[0] != self.recipe_id:
             text = f"a data package of recipe {payload[0]} where {self.recipe_id} was agreed"
-            raise PackageError(Reason.WRONG_RECIPE, text)
+            raise PackageError(RtdeErrorReason.WRONG_RECIPE, text)
         if len(payload) != self.size:
             text = f"a data package of recipe {self.recipe_id} has {self.size} bytes, this one {len(payload)}"
-            raise PackageError(Reason.MALFORMED, text)
+            raise PackageError(RtdeErrorReason.MALFORMED, text)
         return self._group(self._payload.unpack(payload))
 
     def _fault(self, values: Sequence[Value]) -> str:
-        """Say what does not fit."""
+        """Describe the value that does not fit."""
         if len(values) != len(self.names):
             return f"recipe {self.recipe_id} takes {len(self.names)} values, not {len(values)}"
         for name, kind, value in zip(self.names, self.types, cast("Sequence[Any]", values), strict=True):
@@ -176,7 +183,7 @@ class Recipe:
 
 
 def _grouping(counts: Sequence[int], start: int) -> Callable[[tuple[int | float, ...]], tuple[Decoded, ...]]:
-    """Return what turns the flat numbers of a package into one value for each variable, without a loop in Python."""
+    """Return a function that groups the flat numbers of a package by variable, without a loop in Python."""
     keys: list[int | slice] = []
     for count in counts:
         keys.append(start if count == 1 else slice(start, start + count))

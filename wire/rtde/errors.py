@@ -1,30 +1,30 @@
-"""What can go wrong on an RTDE connection. One root, a reason that code can match on, a text that says what to do."""
+"""Errors of an RTDE connection: one root, a reason that code can match on, a text that says what to do."""
 
 from collections.abc import Mapping
 from enum import StrEnum
 
 
-class Reason(StrEnum):
-    """Why an RTDE operation failed."""
+class RtdeErrorReason(StrEnum):
+    """Kinds of `RtdeError`."""
 
     FRAMING = "framing"
-    """The bytes cannot be cut into packages: a length that no package has."""
+    """The bytes cannot be cut into packages: they contain a length that no package has."""
     MALFORMED = "malformed"
-    """A package whose content does not fit its type."""
+    """The content of a package does not fit its type."""
     UNKNOWN_PACKAGE = "unknown_package"
-    """A package type that RTDE does not have, or not in this direction."""
+    """RTDE has no such package type, or not in this direction."""
     WRONG_RECIPE = "wrong_recipe"
-    """A data package of a recipe that was not agreed."""
+    """A data package follows a recipe that was not agreed."""
     WRONG_VALUE = "wrong_value"
-    """A value that does not fit its variable."""
+    """A value does not fit its variable."""
     UNEXPECTED = "unexpected"
-    """A reply that nobody asked for."""
+    """A reply came that nobody asked for."""
     NOT_FOUND = "NOT_FOUND"
     """The controller does not know a variable."""
     IN_USE = "IN_USE"
-    """Another client or a field bus holds a variable."""
+    """Another client or a field bus holds the variable."""
     REFUSED = "refused"
-    """The controller said no."""
+    """The controller refused."""
     TIMEOUT = "timeout"
     UNREACHABLE = "unreachable"
     CLOSED = "closed"
@@ -32,34 +32,34 @@ class Reason(StrEnum):
 
 
 class RtdeError(Exception):
-    """Root of all errors of RTDE; `reason` says which kind, the text what happened and what to do."""
+    """Root of all RTDE errors; `reason` gives the kind, the text says what happened and what to do."""
 
-    def __init__(self, reason: Reason, text: str) -> None:
+    def __init__(self, reason: RtdeErrorReason, text: str) -> None:
         super().__init__(text)
         self.reason = reason
 
 
 class FramingError(RtdeError):
-    """The stream is out of step and cannot be mended: close the connection."""
+    """The stream is out of step and cannot recover: close the connection."""
 
     def __init__(self, text: str) -> None:
-        super().__init__(Reason.FRAMING, text)
+        super().__init__(RtdeErrorReason.FRAMING, text)
 
 
 class PackageError(RtdeError):
-    """One package is not what its type, its recipe or the agreed recipes say."""
+    """One package violates its type, its recipe or the agreed recipes."""
 
 
 class SetupError(RtdeError):
     """The controller refused variables of a recipe.
 
     Attributes:
-        refused: each refused variable and why, `Reason.NOT_FOUND` or `Reason.IN_USE`.
+        refused: reason for each refused variable, `RtdeErrorReason.NOT_FOUND` or `RtdeErrorReason.IN_USE`.
     """
 
-    def __init__(self, refused: Mapping[str, Reason]) -> None:
-        held = [name for name, reason in refused.items() if reason is Reason.IN_USE]
-        unknown = [name for name, reason in refused.items() if reason is Reason.NOT_FOUND]
+    def __init__(self, refused: Mapping[str, RtdeErrorReason]) -> None:
+        held = [name for name, reason in refused.items() if reason is RtdeErrorReason.IN_USE]
+        unknown = [name for name, reason in refused.items() if reason is RtdeErrorReason.NOT_FOUND]
         parts: list[str] = []
         if held:
             parts.append(
@@ -68,5 +68,5 @@ class SetupError(RtdeError):
             )
         if unknown:
             parts.append(f"not known to the controller: {', '.join(unknown)}; check the spelling and its version")
-        super().__init__(Reason.IN_USE if held else Reason.NOT_FOUND, "; ".join(parts))
+        super().__init__(RtdeErrorReason.IN_USE if held else RtdeErrorReason.NOT_FOUND, "; ".join(parts))
         self.refused = dict(refused)

@@ -1,8 +1,8 @@
-"""The variables of RTDE: one table of what a controller gives and takes, from which both ends read and write.
+"""The variables of RTDE: one table of a controller's outputs and inputs, used by both ends.
 
-Names, types and versions are those of UR's RTDE guide for the e-Series, with the few variables that controllers answer
-to although the guide leaves them out (`tcp_offset`, the tool's digital outputs). Units are SI and radians, poses are
-`[x, y, z, rx, ry, rz]` in the base frame, unless a name says otherwise.
+Names, types and versions are those of UR's RTDE guide for the e-Series. The table adds the few variables that the guide
+leaves out and controllers nevertheless serve (`tcp_offset`, the tool's digital outputs). Units are SI and radians,
+poses are `[x, y, z, rx, ry, rz]` in the base frame, unless a name says otherwise.
 """
 
 from collections.abc import Mapping
@@ -11,7 +11,9 @@ from types import MappingProxyType
 
 
 class FieldType(Enum):
-    """A type of RTDE: the member's name is the name on the wire, its value the `struct` letter and how many of them."""
+    """A type of RTDE: the member's name is the name on the wire, its value the `struct` letter and the
+    element count.
+    """
 
     BOOL = ("?", 1)
     UINT8 = ("B", 1)
@@ -26,19 +28,19 @@ class FieldType(Enum):
 
     @property
     def letter(self) -> str:
-        """Of one element, for `struct`."""
+        """Letter of one element for `struct`."""
         return self.value[0]
 
     @property
     def count(self) -> int:
-        """Elements; 1 for a scalar."""
+        """Number of elements; 1 for a scalar."""
         return self.value[1]
 
 
 INT_REGISTERS = 48
 DOUBLE_REGISTERS = 48
 BIT_REGISTERS = range(64, 128)
-"""Bits with a variable each; bits 0 to 63 come in two words."""
+"""Bits that have a variable each; bits 0 to 63 come in two words."""
 EXTERNAL_REGISTERS = range(24, 48)
 """Integer and double registers meant for external clients; a field bus may hold the lower ones."""
 

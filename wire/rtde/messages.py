@@ -1,6 +1,6 @@
-"""Requests and replies of RTDE, protocol versions 1 and 2: what both ends say before, and beside, the data packages.
+"""Requests and replies of RTDE, protocol versions 1 and 2: all packages except the data packages.
 
-Source: UR's RTDE guide. `encode()` gives a whole package, `decode()` takes a payload.
+Source: UR's RTDE guide. `encode()` returns a whole package, `decode()` takes a payload.
 """
 
 import struct
@@ -10,13 +10,13 @@ from enum import IntEnum
 from typing import NamedTuple, Self
 
 from wire.rtde.codec import PackageType, Recipe, frame
-from wire.rtde.errors import PackageError, Reason, SetupError
+from wire.rtde.errors import PackageError, RtdeErrorReason, SetupError
 from wire.rtde.fields import FieldType
 
 PORT = 30004
 PROTOCOL_VERSION = 2
 NAMES_LIMIT = 2048
-"""Bytes of a list of variable names, commas included."""
+"""Largest size of a list of variable names, bytes, commas included."""
 
 _LENGTHS = "the lengths inside a text message do not add up"
 _VERSION = struct.Struct(">H")
@@ -25,7 +25,7 @@ _FREQUENCY = struct.Struct(">d")
 
 
 class Level(IntEnum):
-    """Of a text message."""
+    """Severity of a text message."""
 
     EXCEPTION = 0
     ERROR = 1
@@ -34,7 +34,7 @@ class Level(IntEnum):
 
 
 class ControllerVersion(NamedTuple):
-    """Version of the controller's software, in the order of a comparison."""
+    """Version of the controller's software; tuples compare in this order."""
 
     major: int
     minor: int
@@ -50,7 +50,7 @@ class ControllerVersion(NamedTuple):
         """Read the reply.
 
         Raises:
-            PackageError: another length.
+            PackageError: the length is wrong.
         """
         _check(len(payload) == _CONTROLLER.size, "a controller version has four numbers of four bytes", payload)
         return cls(*_CONTROLLER.unpack(payload))
@@ -65,14 +65,14 @@ def decode_version_request(payload: bytes) -> int:
     """Return the version asked for.
 
     Raises:
-        PackageError: another length.
+        PackageError: the length is wrong.
     """
     _check(len(payload) == _VERSION.size, "a protocol version has two bytes", payload)
     return _VERSION.unpack(payload)[0]
 
 
 def encode_accepted(kind: PackageType, accepted: bool) -> bytes:
-    """Answer a request for a protocol version, for the start or for the pause of the data."""
+    """Answer a request for a protocol version, or for the start or the pause of the data."""
     return frame(kind, b"\x01" if accepted else b"\x00")
 
 
@@ -80,7 +80,7 @@ def decode_accepted(payload: bytes) -> bool:
     """Return whether the controller agreed.
 
     Raises:
-        PackageError: another length.
+        PackageError: the length is wrong.
     """
     _check(len(payload) == 1, "an acceptance has one byte", payload)
     return payload[0] != 0
@@ -91,8 +91,8 @@ class OutputsRequest:
     """The variables that a client wants to receive; a later request replaces an earlier one.
 
     Attributes:
-        names: in the order of the data packages.
-        frequency_hz: of the data packages; None in protocol version 1, which has none.
+        names: variables in the order of the data packages.
+        frequency_hz: rate of the data packages; None in protocol version 1, which has none.
     """
 
     names: tuple[str, ...]
@@ -102,7 +102,7 @@ class OutputsRequest:
         """Return the request in the version of the protocol that `frequency_hz` implies.
 
         Raises:
-            PackageError: more bytes of names than a controller takes.
+            PackageError: the names exceed `NAMES_LIMIT`.
         """
         head = b"" if self.frequency_hz is None else _FREQUENCY.pack(self.frequency_hz)
         return frame(PackageType.SETUP_OUTPUTS, head + _encode_names(self.names))
@@ -112,7 +112,7 @@ class OutputsRequest:
         """Read a request in a version of the protocol.
 
         Raises:
-            PackageError: no frequency, or too many names.
+            PackageError: the frequency is missing, or the names exceed `NAMES_LIMIT`.
         """
         if version < PROTOCOL_VERSION:
             return cls(_decode_names(payload), None)
@@ -122,7 +122,7 @@ class OutputsRequest:
 
 @dataclass(frozen=True, slots=True)
 class InputsRequest:
-    """The variables of one more input recipe that a client wants to write, in the order of its data packages."""
+    """Variables that a client wants to write with one more input recipe, in the order of its data packages."""
 
     names: tuple[str, ...]
 
@@ -130,7 +130,7 @@ class InputsRequest:
         """Return the request.
 
         Raises:
-            PackageError: more bytes of names than a controller takes.
+            PackageError: the names exceed `NAMES_LIMIT`.
         """
         return frame(PackageType.SETUP_INPUTS, _encode_names(self.names))
 
@@ -139,7 +139,7 @@ class InputsRequest:
         """Read a request.
 
         Raises:
-            PackageError: too many names.
+            PackageError: the names exceed `NAMES_LIMIT`.
         """
         return cls(_decode_names(payload))
 
@@ -149,8 +149,8 @@ class SetupReply:
     """Answer to a request for outputs or inputs.
 
     Attributes:
-        types: names of `FieldType`, or NOT_FOUND or IN_USE, one for each variable asked for.
-        recipe_id: 0 where a variable was refused; None for outputs in protocol version 1.
+        types: one entry for each variable asked for: a name of `FieldType`, NOT_FOUND or IN_USE.
+        recipe_id: number of the recipe; 0 if a variable was refused, None for outputs in protocol version 1.
     """
 
     types: tuple[str, ...]
@@ -166,7 +166,7 @@ class SetupReply:
         """Read an answer; `with_id` is False for outputs in protocol version 1.
 
         Raises:
-            PackageError: no recipe id.
+            PackageError: the recipe id is missing.
         """
         _check(len(payload) >= with_id, "an answer to a set-up starts with a recipe id", payload)
         return cls(_split(payload[with_id:]), payload[0] if with_id else None)
@@ -175,30 +175,38 @@ class SetupReply:
         """Return the recipe that was agreed for the variables asked for.
 
         Raises:
-            SetupError: variables were refused; it names each.
-            PackageError: an answer to another question, or of a type that RTDE does not have.
+            SetupError: variables were refused; the error names each.
+            PackageError: the answer does not match the request, or names a type that RTDE does not have.
         """
         if len(self.types) != len(names):
             text = f"{len(self.types)} types came back for {len(names)} variables: {', '.join(self.types)}"
-            raise PackageError(Reason.MALFORMED, text)
+            raise PackageError(RtdeErrorReason.MALFORMED, text)
         answers = list(zip(names, self.types, strict=True))
-        if refused := {name: Reason(kind) for name, kind in answers if kind in (Reason.NOT_FOUND, Reason.IN_USE)}:
+        if refused := {
+            name: RtdeErrorReason(kind)
+            for name, kind in answers
+            if kind in (RtdeErrorReason.NOT_FOUND, RtdeErrorReason.IN_USE)
+        }:
             raise SetupError(refused)
         if unknown := [f"{name} as {kind!r}" for name, kind in answers if kind not in FieldType.__members__]:
-            raise PackageError(Reason.MALFORMED, f"the controller gives {', '.join(unknown)}, which is no type of RTDE")
+            raise PackageError(
+                RtdeErrorReason.MALFORMED, f"the controller gives {', '.join(unknown)}, which is not an RTDE type"
+            )
         if self.recipe_id == 0:
-            raise PackageError(Reason.REFUSED, f"the controller accepts each of {', '.join(names)} but not the recipe")
+            raise PackageError(
+                RtdeErrorReason.REFUSED, f"the controller accepts each of {', '.join(names)} but not the recipe"
+            )
         return Recipe(names, [FieldType[kind] for kind in self.types], self.recipe_id)
 
 
 @dataclass(frozen=True, slots=True)
 class TextMessage:
-    """What one end tells the other in words; on a real controller it ends up in PolyScope's log.
+    """Message in words from one end to the other; a real controller writes it to PolyScope's log.
 
     Attributes:
-        message: at most 255 bytes of UTF-8; the rest is cut off.
-        source: who says so, as long; empty in protocol version 1 from the controller, which has none.
-        level: a `Level`, or a number that we do not know.
+        message: at most 255 bytes of UTF-8; a longer text is cut.
+        source: sender, at most 255 bytes; empty in protocol version 1 from the controller, which names none.
+        level: a `Level`, or a number unknown here.
     """
 
     message: str
@@ -215,7 +223,7 @@ class TextMessage:
 
     @classmethod
     def decode(cls, payload: bytes) -> Self:
-        """Read a message as in protocol version 2. Bytes that are no UTF-8 are replaced.
+        """Read a message as in protocol version 2. Bytes that are not UTF-8 are replaced.
 
         Raises:
             PackageError: the lengths inside do not add up.
@@ -230,7 +238,7 @@ class TextMessage:
         """Read a message as a controller sends it in protocol version 1.
 
         Raises:
-            PackageError: no level.
+            PackageError: the level is missing.
         """
         _check(bool(payload), "a text message starts with a level", payload)
         return cls(payload[1:].decode(errors="replace"), "", payload[0])
@@ -238,7 +246,7 @@ class TextMessage:
 
 def _check(holds: bool, rule: str, payload: bytes) -> None:
     if not holds:
-        raise PackageError(Reason.MALFORMED, f"{rule}, not {len(payload)} bytes: {payload[:32].hex()}")
+        raise PackageError(RtdeErrorReason.MALFORMED, f"{rule}, not {len(payload)} bytes: {payload[:32].hex()}")
 
 
 def _encode_names(names: Sequence[str]) -> bytes:
@@ -253,18 +261,20 @@ def _decode_names(payload: bytes) -> tuple[str, ...]:
 
 
 def _split(payload: bytes) -> tuple[str, ...]:
-    """Some end a list with a comma: an empty name is none. Bytes that no name has make a name that nobody knows."""
+    """Split a list of names. Some clients end it with a comma, so an empty name is dropped; bytes that no name has
+    yield an unknown name.
+    """
     return tuple(name for name in payload.decode("latin-1").split(",") if name)
 
 
 def _encode_text(text: str) -> bytes:
-    """A length byte and the text, cut at 255 bytes without cutting a character."""
+    """Encode a length byte and the text, cut at 255 bytes without cutting a character."""
     encoded = text.encode(errors="replace")[:0xFF].decode(errors="ignore").encode()
     return bytes([len(encoded)]) + encoded
 
 
 def _take_text(payload: bytes) -> tuple[str, bytes]:
-    """Return a text that starts with its length, and what comes after it."""
+    """Return a text whose length precedes it, and the rest of the payload."""
     end = 1 + payload[0] if payload else 1
     _check(end <= len(payload), _LENGTHS, payload)
     return payload[1:end].decode(errors="replace"), payload[end:]

@@ -1,10 +1,10 @@
-"""What the modes of a controller are called, by their numbers in RTDE's outputs. Source: UR's RTDE guide."""
+"""Modes of a controller by their numbers in RTDE's outputs. Source: UR's RTDE guide."""
 
 from enum import IntEnum
 
 
 class RobotMode(IntEnum):
-    """Power and brakes; `robot_mode`."""
+    """State of power and brakes; `robot_mode`."""
 
     NO_CONTROLLER = -1
     DISCONNECTED = 0
@@ -18,7 +18,7 @@ class RobotMode(IntEnum):
 
 
 class SafetyMode(IntEnum):
-    """Why the arm may not move; `safety_mode`."""
+    """State of the safety system; `safety_mode`."""
 
     NORMAL = 1
     REDUCED = 2
@@ -32,7 +32,7 @@ class SafetyMode(IntEnum):
 
 
 class RuntimeState(IntEnum):
-    """Of the program; `runtime_state`."""
+    """State of the program; `runtime_state`."""
 
     STOPPING = 0
     STOPPED = 1

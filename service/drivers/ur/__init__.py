@@ -1,1 +1,1 @@
-"""A Universal Robots arm of the e-Series: RTDE, dashboard, script upload and gripper, and the driver made of them."""
+"""Driver of a Universal Robots e-Series arm, built from RTDE, dashboard, script upload and gripper."""

@@ -1,4 +1,4 @@
-"""Orders on their way to the control program: one register file that holds one order at a time, written in turn."""
+"""Orders to the control program: one register file holds one order at a time, and orders wait for their turn."""
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -6,15 +6,15 @@ from collections.abc import Callable, Sequence
 from service.drivers.ur.registers import Command, input_values
 
 LAST_SEQUENCE = 2**31 - 2**20
-"""Numbers beyond it do not fit the register for long: what stands there is another's, and counting starts anew."""
+"""Largest sequence number in use. A larger one found in the register is another client's, and counting restarts."""
 
 
 class Outbox:
-    """Writes orders into the input registers, each once the program has looked at the one before.
+    """Writes orders into the input registers, each after the program has handled the previous one.
 
-    Registers keep their last value, so an order is repeated by writing the same again, and one that is overwritten too
-    early is lost. A newer target replaces an older one, which is not worth waiting for; a stop replaces everything at
-    once and stays in the register until the next order.
+    Registers keep their last value, so writing the same again repeats an order, and an order overwritten too early is
+    lost. A newer target replaces a waiting older one. A stop replaces everything at once and stays in the register
+    until the next order.
 
     Args:
         send: writes the values of `registers.INPUT_NAMES` now, or not at all.
@@ -30,15 +30,15 @@ class Outbox:
         self._waiting: deque[tuple[int, Command, Sequence[float]]] = deque()
 
     def begin(self, handled: int) -> int:
-        """Forget all orders and write a stop, under a number that the program has not seen.
+        """Discard all orders and write a stop under a number that the program has not seen.
 
-        A stop and not nothing: a program that is paused meanwhile would go on with its last target when it is resumed.
+        A stop is written because a paused program would otherwise continue to its last target when resumed.
 
         Args:
-            handled: last number that the program echoed, perhaps of an earlier client.
+            handled: last number that the program echoed, perhaps from an earlier client.
 
         Returns:
-            The number.
+            The number of the stop.
         """
         self._waiting.clear()
         latest = max(self._sequence, handled)
@@ -48,7 +48,7 @@ class Outbox:
         return self._sequence
 
     def put(self, command: Command, arguments: Sequence[float] = ()) -> int:
-        """Write an order, or have it wait for its turn; return its number, which the program echoes."""
+        """Write an order, or queue it; return its number, which the program echoes."""
         self._sequence += 1
         order = (self._sequence, command, arguments)
         if command is Command.STOP:
@@ -63,7 +63,7 @@ class Outbox:
         return self._sequence
 
     def stop(self) -> None:
-        """Write a stop, or repeat the one that stands there."""
+        """Write a stop, or repeat the one in the register."""
         if self._command is Command.STOP:
             self._waiting.clear()
             self.repeat()
@@ -71,7 +71,7 @@ class Outbox:
             self.put(Command.STOP)
 
     def observe(self, handled: int) -> bool:
-        """Take in the last number that the program looked at; return whether an order was written."""
+        """Record the last number that the program handled; return True if an order was written."""
         self._handled = handled
         if not self._waiting or not self._is_free(self._waiting[0][1]):
             return False
@@ -79,7 +79,7 @@ class Outbox:
         return True
 
     def repeat(self) -> None:
-        """Write the same again: the sign of life that the controller's watchdog waits for."""
+        """Write the same values again, the sign of life that the controller's watchdog expects."""
         self._send(self._values)
 
     def _is_free(self, command: Command) -> bool:

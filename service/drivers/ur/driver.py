@@ -1,7 +1,7 @@
-"""The driver of a Universal Robots e-Series arm, real or emulated: RTDE, the control program, and the dashboard.
+"""Driver of a Universal Robots e-Series arm, real or emulated: RTDE, the control program, and the dashboard.
 
-The law, the ceiling and the watchdogs run in `control_program.urscript` on the controller. This side tells it targets,
-makes samples of what comes back, and asks an operator's wishes of the dashboard.
+The law, the ceiling and the watchdogs run in `control_program.urscript` on the controller. The driver sends targets,
+makes samples of the returned data, and carries out an operator's requests through the dashboard.
 """
 
 import asyncio
@@ -14,13 +14,13 @@ import structlog
 from service.config import CellConfig, UrSection
 from service.drivers.base import DriverError, PoseTarget, SampleSink
 from service.drivers.camera import Camera
-from service.drivers.stage import Stage
 from service.drivers.ur import gate, recovery
 from service.drivers.ur.dashboard import DashboardError
 from service.drivers.ur.link import UrLink
 from service.drivers.ur.program import ProgramError, render
 from service.drivers.ur.registers import Command
 from service.drivers.ur.samples import Package, SampleReader
+from service.drivers.world_setup import WorldSetup
 from service.faults import FaultCode
 from wire.law import ComplianceLaw, ControlLimits
 from wire.limits import TimeMode
@@ -29,18 +29,18 @@ from wire.rtde.modes import RuntimeState
 from wire.task import Task
 
 FRESH_S = 1.0
-"""Robot's time in which samples and camera frames of a world that was just laid out must come."""
+"""Robot's time within which samples and camera frames of a newly laid out world must arrive, s."""
 ESCALATE_S = 1.0
-"""Time in which an ended program must be measured to have brought the arm to rest; else its power is cut."""
+"""Time within which standstill must be measured after a program was ended, s; else the arm's power is cut."""
 REST_S = 0.1
-"""Of it without a break: an arm that swings is slow for a moment at every turn."""
+"""Uninterrupted rest required, s: a swinging arm is momentarily slow at each reversal."""
 ERRAND_S = 1.0
-"""Host time for one word with the dashboard in an escalation: one that hangs must not hold up the next."""
+"""Host time for one dashboard command in an escalation, s; a hanging command must not delay the next."""
 POLL_S = 0.01
 ECHO_MARGIN_S = 0.02
-"""For the controller's own steps between an order and its echo."""
+"""Allowance for the controller's own steps between an order and its echo, s."""
 STANDSTILL_RAD_S = 0.02
-"""Of the fastest joint: below it the arm stands."""
+"""Speed of the fastest joint below which the arm stands."""
 
 _log = structlog.get_logger("service.drivers")
 
@@ -49,17 +49,17 @@ class UrDriver:
     """One e-Series arm.
 
     Args:
-        config: of the cell, with a `ur` section.
-        mode: `lockstep` where somebody else advances an emulated controller: time is then the controller's own.
-        clock: monotonic seconds of the host, in real time.
-        camera: says where the hole is; None where nobody does.
-        stage: lays out the world of an emulated controller; None for a real arm.
+        config: configuration of the cell, with a `ur` section.
+        mode: `lockstep` if somebody else advances an emulated controller; time is then the controller's own.
+        clock: returns monotonic time of the host, s, in real time.
+        camera: reports the position of the hole; None without a camera.
+        world_setup: lays out the world of an emulated controller; None for a real arm.
 
     Attributes:
-        checks: what the last start-up gate found.
+        checks: result of the last start-up gate.
 
     Raises:
-        ProgramError: no control program can be made of the configuration.
+        ProgramError: the configuration yields no control program.
     """
 
     tick_s = TICK_S
@@ -72,21 +72,21 @@ class UrDriver:
         mode: TimeMode = "real_time",
         clock: Callable[[], float] = time.monotonic,
         camera: Camera | None = None,
-        stage: Stage | None = None,
+        world_setup: WorldSetup | None = None,
     ) -> None:
         if config.ur is None:
             raise ProgramError("the configuration has no [ur] section")
         self.mode: TimeMode = mode
         self.name = f"{'emulated ' if config.ur.simulated else ''}UR controller at {config.ur.host}"
-        self.simulated = stage is not None
+        self.simulated = world_setup is not None
         self.checks: tuple[gate.Check, ...] = ()
         self._ur = config.ur
         self._preflight = config.preflight
         self._host_clock = clock
         self._camera = camera
-        self._stage = stage
+        self._world_setup = world_setup
         self._reader = SampleReader(config.ur)
-        # there and back, each way as late as a sample may be
+        # there and back, each way with the delay that a sample may have
         echo_s = 2.0 * config.limits.sample_age_s + ECHO_MARGIN_S
         self._link = UrLink(config.ur, render(config), mode, clock, self._take, self._lose, echo_s)
         self._sink: SampleSink | None = None
@@ -102,14 +102,14 @@ class UrDriver:
 
     @property
     def received_s(self) -> float | None:
-        """The robot's time stamp of the newest package, None without one: who advances a controller waits for it."""
+        """Robot's time stamp of the newest package, None without one; whoever advances a controller waits for it."""
         package = self._link.package
         return None if package is None else package.time_s
 
     async def connect(self, sink: SampleSink) -> None:
-        """Reach the controller, pass the gate as far as the arm's state lets it, and let samples flow.
+        """Connect to the controller, run the gate as far as the arm's state allows, and start the samples.
 
-        An arm that is switched off, stopped or in local control is connected all the same: its samples say so, and
+        An arm that is switched off, stopped or in local control is connected too: its samples report the state, and
         `prepare` refuses it.
 
         Raises:
@@ -118,7 +118,7 @@ class UrDriver:
         """
         self._sink = None
         self._episode = 0
-        for helper in (self._camera, self._stage):
+        for helper in (self._camera, self._world_setup):
             if helper is not None:
                 await helper.open()
         await self._link.open()
@@ -134,13 +134,13 @@ class UrDriver:
     async def prepare(self, task: Task | None) -> None:
         """Have the arm ready and the control program running, and lay out a simulated world.
 
-        The gate is passed again, but for the sensor, which the run judges itself: when the connection was made the arm
-        may have had no power, and what was found then need not hold any more.
+        The gate runs again, without the sensor's check, which the run makes itself: at the time of the connection the
+        arm may have had no power, so the earlier results may no longer hold.
 
         Raises:
             DriverError: AUTHORITY, the arm is not ours to move; PROTOCOL, a seed for a real arm.
         """
-        if self._stage is None and task is not None:
+        if self._world_setup is None and task is not None:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name} is real and has no seed: leave it out")
         facts = await gate.measure_program(self._link, self._ur, prove_watchdog=not self._proven)
         checks = gate.judge_program(facts, self._ur)
@@ -148,8 +148,8 @@ class UrDriver:
             raise DriverError(FaultCode.AUTHORITY, "; ".join(check.text for check in failed))
         self._note(checks)
         self._proven = self._proven or facts.watchdog_s is not None
-        if self._stage is not None:
-            await self._lay_out(self._stage, task)
+        if self._world_setup is not None:
+            await self._lay_out(self._world_setup, task)
 
     def engage(self, law: ComplianceLaw, limits: ControlLimits) -> None:
         self._link.outbox.put(
@@ -189,14 +189,14 @@ class UrDriver:
         errands = [task for task in (self._unlocking, self._escalation) if task is not None]
         await asyncio.gather(*errands, return_exceptions=True)
         await self._link.close()
-        for helper in (self._camera, self._stage):
+        for helper in (self._camera, self._world_setup):
             if helper is not None:
                 await helper.close()
 
-    async def _lay_out(self, stage: Stage, task: Task | None) -> None:
-        """Last of all that precedes a run, so that nothing but the run comes between it and the seed's world."""
-        self._episode = 0  # the old world's samples end
-        laid_out = await stage.lay_out(task)
+    async def _lay_out(self, world_setup: WorldSetup, task: Task | None) -> None:
+        """Lay out the world as the last step before a run, so that nothing changes the seed's world in between."""
+        self._episode = 0  # samples of the old world end here
+        laid_out = await world_setup.lay_out(task)
         camera = self._camera
 
         def is_shown(package: Package) -> bool:
@@ -206,7 +206,7 @@ class UrDriver:
         if not await self._link.until(is_shown, FRESH_S):
             text = f"{self.name}: no samples, or no camera frames, of the world that was laid out; is it another arm's?"
             raise DriverError(FaultCode.STALE, text)
-        self._link.resynchronise()  # its clock stood while it laid out
+        self._link.resynchronise()  # the controller's clock stood still during the layout
         self._episode = laid_out.episode
 
     # --- what arrives
@@ -218,7 +218,7 @@ class UrDriver:
         if package.program == Program.ENGAGED and self._link.watch.running:
             self._judge_setting(package, sink)
         if self._episode and camera is not None and camera.episode != self._episode:
-            sink.on_link_fault(FaultCode.SOURCE, f"{self.name}: somebody else laid out the world")
+            sink.on_link_fault(FaultCode.SOURCE, f"{self.name}: another client laid out the world")
             self._episode = 0
         estimate = None if camera is None else camera.estimate(self.clock())
         try:
@@ -235,7 +235,7 @@ class UrDriver:
             sink.on_sample(sample)
 
     def _judge_setting(self, package: Package, sink: SampleSink) -> None:
-        """What the law was engaged with must stay as it is; others can set it while our program runs."""
+        """Report a change of the values with which the law was engaged; others can set them while the program runs."""
         text = ""
         if not package.speed_fraction >= gate.MIN_SPEED_FRACTION:
             text = f"the speed slider was moved to {package.speed_fraction:.0%}"
@@ -249,7 +249,7 @@ class UrDriver:
             sink.on_link_fault(FaultCode.AUTHORITY, f"{self.name}: {text}")
 
     def _note(self, checks: tuple[gate.Check, ...]) -> None:
-        """Keep what was found anew, beside what was not looked at this time."""
+        """Store the checks made now and keep earlier results of the checks skipped now."""
         found = {check.name: check for check in checks if check.verdict is not gate.Verdict.SKIPPED}
         self.checks = tuple(found.get(check.name, check) for check in self.checks)
 
@@ -266,10 +266,10 @@ class UrDriver:
             _log.warning("unlock", error=str(error))
 
     async def _escalate(self) -> None:
-        """End the program; where the arm is then not measured to stand, cut its power.
+        """End the program; if standstill is not measured afterwards, cut the arm's power.
 
-        A program that has not taken a stop is not kept alive either: with no word from this side the watchdog ends it,
-        although the dashboard may be gone.
+        A program that has not obeyed a stop is no longer kept alive: without words from the driver the watchdog ends
+        it, even if the dashboard is unreachable.
         """
         _log.error("escalate", what="no standstill was measured: the program is ended")
         with self._link.silence():
@@ -281,7 +281,7 @@ class UrDriver:
             _log.error("escalate", what="the arm's power was cut")
 
     async def _last_resort(self, errand: Callable[[UrSection], Awaitable[None]]) -> bool:
-        """Do one errand; return whether it was done. Whatever goes wrong with it, the next one must have its turn."""
+        """Run one errand; return True if it was done. A failure must not keep the next errand from running."""
         try:
             async with asyncio.timeout(ERRAND_S):
                 await errand(self._ur)
@@ -291,7 +291,7 @@ class UrDriver:
         return True
 
     async def _comes_to_rest(self) -> bool:
-        """Whether the arm is measured to stand, for a while, with no program that could go on."""
+        """Return True once the arm is measured to stand for a while, with no program that could move it."""
         end_s = self.clock() + ESCALATE_S
         still_since: float | None = None
         with contextlib.suppress(TimeoutError):
@@ -309,5 +309,5 @@ class UrDriver:
 
 
 def _rests(package: Package) -> bool:
-    """Written so that a speed that is not a number is none of rest."""
+    """Return True for an arm at rest; written so that a speed that is not a number counts as motion."""
     return package.runtime_state == RuntimeState.STOPPED and all(abs(speed) < STANDSTILL_RAD_S for speed in package.qd)

@@ -1,6 +1,6 @@
-"""The start-up gate: what must hold of a controller before its arm is driven, each fact measured, judged and named.
+"""Start-up gate: the conditions on a controller before its arm is driven, each measured, judged and named.
 
-`judge` is pure; `measure` collects the facts over an open link. A check that could not be made is not a passed one.
+`judge` is pure; `measure` collects the facts over an open link. A check that could not be made has not passed.
 """
 
 from collections.abc import Iterator
@@ -21,22 +21,23 @@ from wire.arrays import FloatArray
 from wire.rtde.modes import RobotMode, SafetyMode
 
 MIN_VERSION = (5, 10, 0)
-"""PolyScope 5 with `set_target_payload` and `ft_raw_wrench`."""
+"""Oldest PolyScope 5 with `set_target_payload` and `ft_raw_wrench`."""
 END_VERSION = (6, 0, 0)
 MIN_SPEED_FRACTION = 0.999
 PAYLOAD_TOLERANCE_KG = 0.005
 POSITION_TOLERANCE_M = 1e-4
 ROTATION_TOLERANCE_RAD = 1e-3
 ROUND_TRIP_S = 0.1
-"""Through the registers and back, of the robot's time; a quiet network needs a tenth of it."""
+"""Longest time through the registers and back, robot's time, s; a quiet network needs a tenth of it."""
 WATCHDOG_MARGIN_S = 0.1
-"""Beyond the watchdog's own period: the controller's reaction, and the program's end."""
+"""Allowance beyond the watchdog's period for the controller's reaction and the program's end, s."""
 CONFIGURED_S = 1.0
-"""Within it the outputs show the payload and TCP that the program has set."""
+"""Time within which the outputs must show the payload and TCP set by the program, s."""
 
 UNSAFE = frozenset({"PolyScope", "registers", "payload", "TCP", "watchdog"})
-"""Checks without which a cell is not connected at all. The others are an operator's to put right, with the arm's
-samples in view, and keep a run from starting."""
+"""Checks without which a cell is not connected at all. The other failures prevent a run; an operator corrects them
+while watching the arm's samples.
+"""
 
 
 class Verdict(StrEnum):
@@ -50,10 +51,10 @@ class Check:
     """One line of the gate.
 
     Attributes:
-        name: what is looked at.
-        measured: what was found, with what was wanted.
-        verdict: of it.
-        remedy: what to do where it failed; empty otherwise.
+        name: name of the check.
+        measured: found value and wanted value.
+        verdict: result.
+        remedy: remedy after a failure; empty otherwise.
     """
 
     name: str
@@ -63,22 +64,22 @@ class Check:
 
     @property
     def text(self) -> str:
-        """For an error message."""
+        """Return the check as an error text."""
         return f"{self.name}: {self.measured}; {self.remedy}"
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What was measured; None where it was not.
+    """Measured facts; None if not measured.
 
     Attributes:
-        version: PolyScope's.
-        remote_control: whether the controller takes programs from the network.
-        package: of the arm's present state.
-        configured: a package taken while the control program runs, with the payload and TCP that it has set.
-        wrenches: (n, 6) N and N·m at the TCP of a standing arm, as the sensor is zeroed now.
-        round_trip_s: of an empty order; infinite when it was lost.
-        watchdog_s: from the last package to the program's end; infinite where it never ended.
+        version: version of PolyScope.
+        remote_control: the controller takes programs from the network.
+        package: package with the arm's present state.
+        configured: package taken while the control program runs, with the payload and TCP that it has set.
+        wrenches: (n, 6) N and N·m at the TCP of a standing arm, with the sensor's present zero.
+        round_trip_s: round trip of an empty order, s; infinite if it was lost.
+        watchdog_s: time from the last package to the program's end, s; infinite if it never ended.
     """
 
     version: tuple[int, int, int] | None = None
@@ -91,35 +92,35 @@ class Facts:
 
 
 def judge(facts: Facts, ur: UrSection, preflight: PreflightSection) -> tuple[Check, ...]:
-    """Judge the facts against the configuration, in the order in which an operator would put things right."""
+    """Judge the facts against the configuration, in the order in which an operator would correct them."""
     return (*judge_arm(facts), *_judge_program(facts, ur), *_judge_sensor(facts, ur, preflight))
 
 
 def judge_arm(facts: Facts) -> tuple[Check, ...]:
-    """The checks that come before the control program: none of them moves or changes anything."""
+    """Make the checks that precede the control program; they neither move nor change anything."""
     return tuple(_judge_arm(facts))
 
 
 def judge_program(facts: Facts, ur: UrSection) -> tuple[Check, ...]:
-    """The checks of arm and control program, which every run is preceded by."""
+    """Make the checks of arm and control program that precede every run."""
     return (*judge_arm(facts), *_judge_program(facts, ur))
 
 
 def tool_failures(package: Package, ur: UrSection) -> tuple[Check, ...]:
-    """What the controller goes by as payload and TCP, where that is not what is configured."""
+    """Return the failed checks of the controller's payload and TCP against the configuration."""
     return failures(tuple(_judge_tool(package, ur)))
 
 
 def failures(checks: tuple[Check, ...]) -> tuple[Check, ...]:
-    """Those that failed."""
+    """Return the failed checks."""
     return tuple(check for check in checks if check.verdict is Verdict.FAILED)
 
 
 async def measure_arm(link: UrLink, ur: UrSection) -> Facts:
-    """Ask the dashboard, and take the newest package.
+    """Query the dashboard, and take the newest package.
 
     Raises:
-        DriverError: LINK, the dashboard or the data are not there.
+        DriverError: LINK, the dashboard does not answer or no data arrive.
     """
     try:
         async with dashboard(ur) as client:
@@ -130,16 +131,17 @@ async def measure_arm(link: UrLink, ur: UrSection) -> Facts:
 
 
 async def measure(link: UrLink, ur: UrSection, preflight: PreflightSection, *, prove_watchdog: bool) -> Facts:
-    """Collect all facts; beyond the arm's own they need the control program, which is sent if it does not run.
+    """Collect all facts. Those beyond the arm's own need the control program, which is sent if it does not run.
 
     Args:
-        link: open.
-        ur: of the configuration.
-        preflight: says how many samples are judged.
+        link: open link.
+        ur: section of the configuration.
+        preflight: section with the number of samples to judge.
         prove_watchdog: let the watchdog end the program once, and start it again.
 
     Raises:
-        DriverError: a fact cannot be had; an arm that fails its own checks is no error, and leaves the rest open.
+        DriverError: a fact cannot be measured. An arm that fails its own checks is no error; the remaining facts stay
+            None.
     """
     facts = await measure_program(link, ur, prove_watchdog=prove_watchdog)
     if facts.configured is None:
@@ -148,11 +150,11 @@ async def measure(link: UrLink, ur: UrSection, preflight: PreflightSection, *, p
 
 
 async def measure_program(link: UrLink, ur: UrSection, *, prove_watchdog: bool) -> Facts:
-    """Collect the facts about arm and control program: all but those of the sensor.
+    """Collect the facts about arm and control program: all except those of the sensor.
 
     Args:
-        link: open.
-        ur: of the configuration.
+        link: open link.
+        ur: section of the configuration.
         prove_watchdog: let the watchdog end the program once, and start it again.
 
     Raises:

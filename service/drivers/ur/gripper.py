@@ -1,7 +1,7 @@
 """Driver of a Robotiq 2F-85 through the server of its URCap on the controller, TCP 63352.
 
-The gripper counts positions from 0, open, to 255, closed; its fingers end short of both, at counts that differ a little
-from one gripper to the next. Requests are lines, `SET name value …` and `GET name`; the manual's variables.
+The gripper counts positions from 0, open, to 255, closed; its fingers end before both, at counts that differ slightly
+between grippers. Requests are lines, `SET name value …` and `GET name`, with the manual's variables.
 """
 
 import asyncio
@@ -17,7 +17,7 @@ PORT = 63352
 STROKE_MM = 85.0
 SPEED_MM_S = (20.0, 150.0)
 FORCE_N = (20.0, 235.0)
-"""Least and most of a 2F-85."""
+"""Smallest and largest force of a 2F-85."""
 POS_OPEN, POS_CLOSED = 3, 230
 """Counts of a 2F-85 with its own fingertips, 85 mm and 0 mm apart."""
 
@@ -26,37 +26,37 @@ ACTIVATION_TIMEOUT_S = 15.0
 MOTION_TIMEOUT_S = 10.0
 POLL_S = 0.02
 _READ_BYTES = 256
-_NAMES = ("STA", "PRE", "OBJ", "FLT", "POS")  # PRE before OBJ: a motion that was heard of is not taken for one at rest
+_NAMES = ("STA", "PRE", "OBJ", "FLT", "POS")  # PRE before OBJ: an older OBJ would look like a finished motion
 _ACK = b"ack"
-_GRAVE_FAULT = 8  # the manual's lower numbers say what is being waited for
+_GRAVE_FAULT = 8  # lower numbers in the manual name the condition that the gripper waits for
 
 
-class Reason(StrEnum):
-    """Why the gripper did not do what it was asked."""
+class GripperErrorReason(StrEnum):
+    """Kinds of `GripperError`."""
 
     UNREACHABLE = "unreachable"
     LOST = "lost"
     """The connection ended."""
     TIMEOUT = "timeout"
-    """No answer, or no end of a motion, in time."""
+    """No answer in time, or no end of a motion in time."""
     REFUSED = "refused"
-    """The server does not take the request."""
+    """The server does not accept the request."""
     NOT_ACTIVE = "not_active"
-    """It has to be activated first."""
+    """The gripper must be activated first."""
     FAULT = "fault"
     """The gripper reports a fault."""
 
 
 class GripperError(Exception):
-    """A gripper's failure; `reason` says which kind, the text what to do."""
+    """A gripper's failure; `reason` gives the kind, the text says what to do."""
 
-    def __init__(self, reason: Reason, text: str) -> None:
+    def __init__(self, reason: GripperErrorReason, text: str) -> None:
         super().__init__(text)
         self.reason = reason
 
 
 class Activation(IntEnum):
-    """STA."""
+    """Values of STA, the state of the activation."""
 
     RESET = 0
     ACTIVATING = 1
@@ -64,7 +64,7 @@ class Activation(IntEnum):
 
 
 class Detection(IntEnum):
-    """OBJ: whether the fingers move, and what ended their last motion."""
+    """Values of OBJ: motion of the fingers, and the end of their last motion."""
 
     MOVING = 0
     OBJECT_OPENING = 1
@@ -74,14 +74,14 @@ class Detection(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What the gripper reports.
+    """State reported by the gripper.
 
     Attributes:
-        activation: its state.
-        requested: position request as the gripper has heard it, counts.
-        detection: its motion; MOVING until the fingers rest.
-        fault: 0 without one; the numbers of the manual.
-        position: of the fingers, counts.
+        activation: state of the activation.
+        requested: position request as received by the gripper, counts.
+        detection: state of the motion; MOVING until the fingers rest.
+        fault: number in the manual; 0 without a fault.
+        position: position of the fingers, counts.
     """
 
     activation: int
@@ -92,7 +92,7 @@ class Status:
 
     @property
     def opening_mm(self) -> float:
-        """Distance between the fingertips, 0 … 85."""
+        """Distance between the fingertips, 0 … 85 mm."""
         return min(max(STROKE_MM * (POS_CLOSED - self.position) / (POS_CLOSED - POS_OPEN), 0.0), STROKE_MM)
 
     @property
@@ -105,18 +105,18 @@ class Status:
 
     @property
     def holds_object(self) -> bool:
-        """The fingers rest against something that is in their way."""
+        """The fingers rest against an object."""
         return self.detection in (Detection.OBJECT_OPENING, Detection.OBJECT_CLOSING)
 
 
 class Gripper:
     """One connection to a gripper's server; requests run one after another, in the order of their calls.
 
-    After LOST or TIMEOUT it has to be connected again; the gripper goes on with what it was told.
+    After LOST or TIMEOUT it must be connected again; the gripper continues its last request.
     """
 
     def __init__(self, host: str, port: int = PORT) -> None:
-        """Name the server; `connect` reaches it."""
+        """Store the server's address; `connect` opens the connection."""
         self.host = host
         self.port = port
         self._turn = asyncio.Lock()
@@ -132,7 +132,7 @@ class Gripper:
         await self.disconnect()
 
     async def connect(self) -> None:
-        """Connect; moves nothing.
+        """Connect; nothing moves.
 
         Raises:
             GripperError: UNREACHABLE.
@@ -144,10 +144,10 @@ class Gripper:
         except (OSError, TimeoutError) as error:
             where = f"{self.host}:{self.port}"
             text = f"cannot reach the gripper at {where}: {error or 'no answer'}; is its URCap installed?"
-            raise GripperError(Reason.UNREACHABLE, text) from error
+            raise GripperError(GripperErrorReason.UNREACHABLE, text) from error
 
     async def disconnect(self) -> None:
-        """Close the connection; the gripper goes on holding."""
+        """Close the connection; the gripper keeps its grip."""
         streams, self._streams = self._streams, None
         if streams is not None:
             streams[1].close()
@@ -155,7 +155,7 @@ class Gripper:
                 await streams[1].wait_closed()
 
     async def status(self) -> Status:
-        """Ask for the state.
+        """Query the state.
 
         Raises:
             GripperError: LOST or TIMEOUT.
@@ -164,7 +164,7 @@ class Gripper:
         return Status(*values)
 
     async def activate(self) -> Status:
-        """Activate, unless it is: the fingers then open and close once and would drop what they hold.
+        """Activate unless active; the fingers then open and close once and would drop an object.
 
         Raises:
             GripperError: TIMEOUT, FAULT.
@@ -178,24 +178,24 @@ class Gripper:
         return await self._until(lambda seen: seen.is_active, "to activate", ACTIVATION_TIMEOUT_S)
 
     async def open(self, speed_mm_s: float = SPEED_MM_S[1], force_n: float = FORCE_N[0]) -> Status:
-        """Open fully; as `move`."""
+        """Open fully; arguments and errors as in `move`."""
         return await self.move(STROKE_MM, speed_mm_s, force_n)
 
     async def close(self, speed_mm_s: float = SPEED_MM_S[0], force_n: float = FORCE_N[0]) -> Status:
-        """Close until something is held or the fingers meet; as `move`. The status tells which."""
+        """Close until the fingers hold an object or meet; the status tells which. Arguments and errors as in `move`."""
         return await self._go(255, speed_mm_s, force_n)
 
     async def move(self, opening_mm: float, speed_mm_s: float = SPEED_MM_S[1], force_n: float = FORCE_N[0]) -> Status:
         """Move the fingers and return the status once they rest.
 
         Args:
-            opening_mm: distance between the fingertips, 0 … 85.
-            speed_mm_s: 20 … 150.
-            force_n: 20 … 235, on what they meet.
+            opening_mm: distance between the fingertips, 0 … 85 mm.
+            speed_mm_s: speed, 20 … 150 mm/s.
+            force_n: force on an object, 20 … 235 N.
 
         Raises:
             GripperError: NOT_ACTIVE, FAULT, TIMEOUT, LOST.
-            ValueError: an argument outside its range.
+            ValueError: an argument is outside its range.
         """
         fraction = _fraction(opening_mm, (0.0, STROKE_MM), "opening_mm")
         return await self._go(round(POS_CLOSED - fraction * (POS_CLOSED - POS_OPEN)), speed_mm_s, force_n)
@@ -205,7 +205,7 @@ class Gripper:
         force = round(255 * _fraction(force_n, FORCE_N, "force_n"))
         if not (await self.status()).is_active:
             text = "the gripper is not activated; activate it, with nothing between its fingers"
-            raise GripperError(Reason.NOT_ACTIVE, text)
+            raise GripperError(GripperErrorReason.NOT_ACTIVE, text)
         await self._set(POS=position, SPE=speed, FOR=force, GTO=1)
         return await self._until(
             lambda seen: seen.requested == position and not seen.is_moving, "to come to rest", MOTION_TIMEOUT_S
@@ -220,18 +220,20 @@ class Gripper:
             status = await self.status()
             if status.fault >= _GRAVE_FAULT and not resets:
                 text = f"the gripper reports fault {status.fault}; see its manual, then activate it again"
-                raise GripperError(Reason.FAULT, text)
+                raise GripperError(GripperErrorReason.FAULT, text)
             if done(status):
                 return status
             if clock() > deadline_s:
-                raise GripperError(Reason.TIMEOUT, f"the gripper took more than {timeout_s:g} s {what}: {status}")
+                raise GripperError(
+                    GripperErrorReason.TIMEOUT, f"the gripper took more than {timeout_s:g} s {what}: {status}"
+                )
             await asyncio.sleep(POLL_S)
 
     async def _set(self, **values: int) -> None:
         request = "SET " + " ".join(f"{name} {value}" for name, value in values.items())
         reply = await self._ask(request, lambda reply: reply.startswith(_ACK) or reply.endswith(b"\n"))
         if not reply.startswith(_ACK):
-            raise GripperError(Reason.REFUSED, f"`{request}` was answered with {reply!r}")
+            raise GripperError(GripperErrorReason.REFUSED, f"`{request}` was answered with {reply!r}")
 
     async def _get(self, name: str) -> int:
         reply = await self._ask(f"GET {name}", lambda reply: reply.endswith(b"\n"))
@@ -239,17 +241,17 @@ class Gripper:
             case [first, value] if first == name.encode() and value.isdigit():
                 return int(value)
             case _:
-                raise GripperError(Reason.REFUSED, f"`GET {name}` was answered with {reply!r}")
+                raise GripperError(GripperErrorReason.REFUSED, f"`GET {name}` was answered with {reply!r}")
 
     async def _ask(self, request: str, complete: Callable[[bytes], bool]) -> bytes:
-        """Send a line and read until its answer is complete: an acknowledgement has no line's end."""
+        """Send a line and read until its answer is complete; an acknowledgement has no end of line."""
         async with self._turn:
             if self._streams is None:
-                raise GripperError(Reason.LOST, f"`{request}`: not connected to the gripper; connect first")
+                raise GripperError(GripperErrorReason.LOST, f"`{request}`: not connected to the gripper; connect first")
             reader, writer = self._streams
             try:
                 if writer.is_closing():
-                    raise ConnectionError("closed by the controller")  # writing would not say so on every event loop
+                    raise ConnectionError("closed by the controller")  # not every event loop reports this when writing
                 async with asyncio.timeout(REPLY_TIMEOUT_S):
                     writer.write(request.encode() + b"\n")
                     reply = b""
@@ -260,14 +262,14 @@ class Gripper:
                         reply += data
                 return reply
             except BaseException as error:
-                self._streams = None  # an answer that comes late would be taken for that to the next request
+                self._streams = None  # a late answer would be taken for the answer to the next request
                 writer.close()
                 if isinstance(error, TimeoutError):
                     text = f"`{request}` was not answered within {REPLY_TIMEOUT_S:g} s"
-                    raise GripperError(Reason.TIMEOUT, text) from error
+                    raise GripperError(GripperErrorReason.TIMEOUT, text) from error
                 if isinstance(error, OSError):
                     raise GripperError(
-                        Reason.LOST, f"the gripper's connection broke at `{request}`: {error}"
+                        GripperErrorReason.LOST, f"the gripper's connection broke at `{request}`: {error}"
                     ) from error
                 raise
 

@@ -1,4 +1,4 @@
-"""The driver's connection to one controller: packages in, orders out, the control program sent and watched."""
+"""The driver's connection to one controller: packages in, orders out, and the control program sent and watched."""
 
 import asyncio
 import contextlib
@@ -22,27 +22,28 @@ from service.faults import FaultCode
 from wire.limits import TimeMode
 from wire.records import Program
 from wire.rtde.codec import Decoded
-from wire.rtde.errors import Reason, RtdeError
+from wire.rtde.errors import RtdeError, RtdeErrorReason
 from wire.rtde.modes import RuntimeState
 
 RATE_HZ = 500.0
 HEARTBEAT_TICKS = 5
-"""Samples between two writings of the input registers. They are written because a sample came, so a host whose loop
-hangs, and one that hears nothing, both fall silent, and the controller's watchdog ends the program."""
+"""Samples between two writes of the input registers. A write follows a sample, so a host falls silent if its loop hangs
+or if it receives nothing, and the controller's watchdog ends the program.
+"""
 PROGRAM_START_S = 3.0
-"""The controller's time from the upload to the program's first echo."""
+"""The controller's time from the upload to the program's first echo, s."""
 STOPPED_S = 1.0
-"""Of the robot's time for an arm that was found engaged to come to rest, with its retract."""
+"""Robot's time for an arm found engaged to come to rest, with its retract, s."""
 PATIENCE_S = 10.0
-"""Host time beyond which a controller whose own time does not pass is not waited for."""
+"""Host time after which a controller whose own time does not pass is given up, s."""
 
 _CODES = {
-    Reason.IN_USE: FaultCode.AUTHORITY,
-    Reason.NOT_FOUND: FaultCode.PROTOCOL,
-    Reason.UNREACHABLE: FaultCode.LINK,
-    Reason.TIMEOUT: FaultCode.LINK,
-    Reason.CLOSED: FaultCode.LINK,
-    Reason.REFUSED: FaultCode.LINK,
+    RtdeErrorReason.IN_USE: FaultCode.AUTHORITY,
+    RtdeErrorReason.NOT_FOUND: FaultCode.PROTOCOL,
+    RtdeErrorReason.UNREACHABLE: FaultCode.LINK,
+    RtdeErrorReason.TIMEOUT: FaultCode.LINK,
+    RtdeErrorReason.CLOSED: FaultCode.LINK,
+    RtdeErrorReason.REFUSED: FaultCode.LINK,
 }
 
 
@@ -50,19 +51,19 @@ class UrLink:
     """One controller.
 
     Args:
-        ur: where it is.
-        program: the control program that shall run.
-        mode: in lockstep, time is the controller's own, since its first package.
-        clock: monotonic seconds of the host.
-        on_package: receives each package and its arrival, once `open` is done.
-        on_lost: receives why the connection ended, or is not to be believed.
-        echo_s: longest time from an order to the program's echo of it, of the robot's time.
+        ur: section of the configuration with the controller's address.
+        program: control program that is to run.
+        mode: in lockstep, time is the controller's own, counted from its first package.
+        clock: returns monotonic time of the host, s.
+        on_package: receives each package and its arrival, after `open`.
+        on_lost: receives the reason why the connection ended or is not trusted.
+        echo_s: longest time from an order to the program's echo of it, robot's time, s.
 
     Attributes:
-        package: the newest.
-        arrival_s: when it arrived, by the clock of the mode.
-        watch: whether the program runs.
-        outbox: of orders.
+        package: newest package.
+        arrival_s: arrival of the newest package, by the clock of the mode.
+        watch: tells whether the program runs.
+        outbox: queue of orders.
     """
 
     def __init__(
@@ -103,13 +104,13 @@ class UrLink:
 
     @property
     def version(self) -> tuple[int, int, int]:
-        """PolyScope's, as the controller itself says; zeros before it was asked."""
+        """Version of PolyScope as the controller reports it; zeros before it was asked."""
         version = self._client.controller_version
         return (0, 0, 0) if version is None else (version.major, version.minor, version.bugfix)
 
     @property
     def newest(self) -> Package:
-        """The newest package.
+        """Newest package.
 
         Raises:
             DriverError: LINK, there is none.
@@ -119,10 +120,10 @@ class UrLink:
         return self.package
 
     async def open(self) -> None:
-        """Connect, agree on recipes and let data flow; drops an older connection.
+        """Connect, agree on recipes and start the data; drops an older connection.
 
         Raises:
-            DriverError: LINK, not reached; AUTHORITY, a register is in use or the arm does not take a stop; PROTOCOL, a
+            DriverError: LINK, not reached; AUTHORITY, a register is in use or the arm does not obey a stop; PROTOCOL, a
                 variable is missing.
         """
         self.package = None
@@ -142,19 +143,19 @@ class UrLink:
                 raise DriverError(FaultCode.AUTHORITY, text)
 
     async def close(self) -> None:
-        """End the connection; the watchdog ends the program."""
+        """End the connection; the controller's watchdog then ends the program."""
         await self._client.close()
         self.package = None
 
     def resynchronise(self) -> None:
-        """Take the next package for one that has just arrived: the controller's clock has stood for a while."""
+        """Treat the next package as just arrived, because the controller's clock has stood still for a while."""
         self._arrivals = ArrivalClock()
 
     async def until(self, condition: Callable[[Package], bool], limit_s: float) -> bool:
-        """Wait for a package that meets `condition`; return whether one came within `limit_s` of the robot's time.
+        """Wait for a package that meets `condition`; return True if one came within `limit_s` of the robot's time.
 
         Raises:
-            DriverError: LINK, the connection ended, or no package came for long.
+            DriverError: LINK, the connection ended, or no package came for `PATIENCE_S`.
         """
         end_s = self.newest.time_s + limit_s
         patience_s = time.monotonic() + limit_s + PATIENCE_S
@@ -170,11 +171,11 @@ class UrLink:
         return True
 
     async def run_program(self) -> None:
-        """Have the control program run, sending it where it does not; orders from before are forgotten.
+        """Ensure that the control program runs, sending it if needed; earlier orders are discarded.
 
         Raises:
             DriverError: AUTHORITY, another program runs or the controller refuses this one; PROTOCOL, it does not
-                compile there or says nothing after its start.
+                compile there or does not answer after its start.
         """
         if self.watch.running or await self._is_alive():
             return
@@ -197,7 +198,7 @@ class UrLink:
             raise DriverError(FaultCode.PROTOCOL, text)
 
     async def exchange(self, limit_s: float) -> float | None:
-        """Let an empty order go through the registers and back; return the robot's time that it took, None if lost."""
+        """Send an empty order through the registers and back; return its round trip in robot's time, None if lost."""
         begun_s = self.newest.time_s
         number = self.outbox.begin(self.newest.handled)
         if not await self.until(lambda package: package.handled == number, limit_s):
@@ -224,7 +225,9 @@ class UrLink:
         return took_s if ended else None
 
     async def _is_alive(self) -> bool:
-        """On a fresh connection the counter must be seen to move before the program is believed to run."""
+        """Return True once the counter moves on a fresh connection; before that the program does not count as
+        running.
+        """
         package = self.newest
         if package.runtime_state != RuntimeState.PLAYING or package.crc != self._program.crc:
             return False
@@ -248,7 +251,7 @@ class UrLink:
         self._arrived.set()
 
     def _judge_echo(self, package: Package) -> None:
-        """Time one order after another: a delay that grows slowly shows in no package's arrival."""
+        """Time one order after another: packages' arrivals do not show a delay that grows slowly."""
         if self._probe is None:
             return
         number, written_s = self._probe

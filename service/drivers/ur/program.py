@@ -1,4 +1,4 @@
-"""The control program, as one cell's configuration makes it: `control_program.urscript` with its names filled in."""
+"""Control program of a cell: `control_program.urscript` with the names filled in from the configuration."""
 
 import zlib
 from collections.abc import Iterable
@@ -12,30 +12,30 @@ from service.safety.stop import STANDSTILL_M_S
 from wire.records import Program, StopReason
 
 STOP_S = 0.1
-"""Within it a stop's limit of speed falls to zero, as in the simulated arm."""
+"""Time within which a stop's speed limit falls to zero, s, as in the simulated arm."""
 RETRACT_SPEED_M_S = 0.02
 SETTLE_S = 0.1
-"""What a stop's confirmation needs beyond the stop itself: transport, and samples of a standing arm."""
+"""Time that a stop's confirmation needs beyond the stop itself, s: transport, and samples of a standing arm."""
 ACCELERATION_M_S2 = 40.0
-"""Of `speedl`; UR's own driver asks for as much. The law's own accelerations stay far below."""
+"""Acceleration argument of `speedl`; UR's own driver uses the same. The law's own accelerations stay far below."""
 TURN_ACCELERATION_RAD_S2 = 200.0
 CRC_MASK = 0x7FFF_FFFF
-"""The register that echoes the checksum is a signed integer."""
+"""Mask of the checksum; the register that echoes it is a signed integer."""
 
 _TEMPLATE = "control_program.urscript"
 
 
 class ProgramError(ValueError):
-    """No control program can be made of this configuration; the text names the field."""
+    """The configuration yields no control program; the text names the field."""
 
 
 @dataclass(frozen=True, slots=True)
 class ControlProgram:
-    """What is sent to the controller.
+    """Program that is sent to the controller.
 
     Attributes:
-        text: URScript.
-        crc: of the text, echoed by the running program; above zero.
+        text: text in URScript.
+        crc: checksum of the text, echoed by the running program; above zero.
     """
 
     text: str
@@ -46,10 +46,10 @@ def render(config: CellConfig) -> ControlProgram:
     """Make the control program of a cell.
 
     Args:
-        config: with a `ur` section.
+        config: configuration with a `ur` section.
 
     Raises:
-        ProgramError: there is none, or a stop with its retract would last longer than a stop may.
+        ProgramError: there is no such section, or a stop with its retract would exceed the time allowed for a stop.
     """
     ur = config.ur
     if ur is None:
@@ -105,7 +105,7 @@ def _check_stop(ur: UrSection, stop_confirm_s: float) -> None:
 
 
 def _number(value: float) -> str:
-    """A number that URScript reads back as the same floating-point number."""
+    """Return a number that URScript reads back as the same floating-point number."""
     return repr(float(value))
 
 

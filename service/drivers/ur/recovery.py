@@ -1,16 +1,16 @@
-"""What an operator asks of the arm's power, brakes and stops, through the dashboard; nothing here happens by itself."""
+"""An operator's requests about the arm's power, brakes and stops, through the dashboard; nothing here is automatic."""
 
 from service.config import UrSection
-from service.drivers.ur.dashboard import DashboardClient, DashboardError, Reason
+from service.drivers.ur.dashboard import DashboardClient, DashboardError, DashboardErrorReason
 
 
 def dashboard(ur: UrSection) -> DashboardClient:
-    """A client of the controller's dashboard server; use it in `async with`."""
+    """Return a client of the controller's dashboard server; use it in `async with`."""
     return DashboardClient(ur.host, ur.dashboard_port, reply_timeout_s=ur.connect_s)
 
 
 async def power_on(ur: UrSection) -> None:
-    """Switch the arm on and release its brakes; returns once it holds itself.
+    """Switch the arm on and release its brakes; return once the arm holds itself.
 
     Raises:
         DashboardError: the text says what to do.
@@ -40,23 +40,23 @@ async def power_off(ur: UrSection) -> None:
 
 
 async def unlock(ur: UrSection) -> None:
-    """Leave a protective stop whose cause was inspected, with no program; ours is sent again by the next run.
+    """Leave a protective stop after inspection of its cause. The next run sends the control program again.
 
     Raises:
-        DashboardError: TOO_EARLY within 5 s of the stop; REFUSED where the arm is in none, or in a worse one.
+        DashboardError: TOO_EARLY within 5 s of the stop; REFUSED if the arm is in none, or in a graver one.
     """
     async with dashboard(ur) as client:
         status = await client.safety_status()
         if status != "PROTECTIVE_STOP":
             text = f"the safety system says {status}: there is no protective stop to unlock"
-            raise DashboardError(Reason.REFUSED, text)
-        await _end_program(client)  # one that the stop has paused would go on when somebody presses play
+            raise DashboardError(DashboardErrorReason.REFUSED, text)
+        await _end_program(client)  # a program paused by the stop would continue when somebody presses play
         await client.close_safety_popup()
         await client.unlock_protective_stop()
 
 
 async def stop_program(ur: UrSection) -> None:
-    """Stop whatever program runs or is paused; that there is none is no error.
+    """Stop any running or paused program; it is no error if there is none.
 
     Raises:
         DashboardError: the controller cannot be reached.
@@ -67,5 +67,5 @@ async def stop_program(ur: UrSection) -> None:
 
 async def _end_program(client: DashboardClient) -> None:
     state, _ = await client.program_state()
-    if state != "STOPPED":  # `running` says false of a paused one
+    if state != "STOPPED":  # `running` says false for a paused program
         await client.stop()

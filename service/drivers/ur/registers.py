@@ -1,8 +1,8 @@
-"""The registers through which driver and control program talk: one table, from which the script's names are rendered.
+"""Registers between driver and control program: one table, from which the script's names are rendered.
 
-General-purpose registers 24 to 47 are the ones that a UR controller leaves to external clients; 0 to 23 may belong to a
-field bus (RTDE guide, "General purpose registers"). Inputs go to the controller in one package, so that a command and
-its arguments arrive together. Nothing else in this project names a register number.
+A UR controller leaves the general-purpose registers 24 to 47 to external clients; 0 to 23 may belong to a field bus
+(RTDE guide, "General purpose registers"). Inputs go to the controller in one package, so a command and its arguments
+arrive together. Nothing else in this project names a register number.
 """
 
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from enum import IntEnum
 
 
 class Command(IntEnum):
-    """What `input_int_register` 25 asks for."""
+    """Values of `input_int_register` 25."""
 
     NONE = 0
     ENGAGE = 1
@@ -18,14 +18,14 @@ class Command(IntEnum):
     TARGET = 2
     """Arguments: TCP pose (6), base frame, m and rad."""
     STOP = 3
-    """A level, not an edge: it holds for as long as it stands in the register, whatever its sequence number."""
+    """A level, not an edge: it holds while it stands in the register, whatever its sequence number."""
     ZERO_FT = 4
 
 
 ARGUMENTS = 24
-"""Input doubles of a command, from `INPUT_ARGUMENT` on."""
+"""Number of input doubles of a command, from `INPUT_ARGUMENT` on."""
 INPUT_SEQUENCE = 24
-"""Number of the order, a signed 32-bit integer: at ten orders a second it lasts for six years."""
+"""Number of the order, a signed 32-bit integer; at ten orders a second it lasts for six years."""
 INPUT_COMMAND = 25
 INPUT_ARGUMENT = 24
 
@@ -38,9 +38,9 @@ OUTPUT_REASON = 26
 OUTPUT_CRC = 27
 """Identity of the rendered program."""
 OUTPUT_COUNTER = 28
-"""Steps of the program's loop; one that stands is a program that does not run."""
+"""Steps of the program's loop; a constant value means that the program does not run."""
 OUTPUT_HANDLED = 29
-"""Last sequence number that was looked at, whether carried out or refused."""
+"""Last sequence number that was handled, whether carried out or refused."""
 OUTPUT_PEAK = 24
 """Largest resultant force since ENGAGE, N."""
 OUTPUT_TARGET = 25
@@ -51,7 +51,7 @@ INPUT_NAMES: tuple[str, ...] = (
     f"input_int_register_{INPUT_COMMAND}",
     *(f"input_double_register_{INPUT_ARGUMENT + i}" for i in range(ARGUMENTS)),
 )
-"""The driver's one input recipe, in order."""
+"""The driver's only input recipe, in order."""
 
 OUTPUT_NAMES: tuple[str, ...] = (
     f"output_int_register_{OUTPUT_ACCEPTED}",
@@ -62,22 +62,22 @@ OUTPUT_NAMES: tuple[str, ...] = (
     f"output_int_register_{OUTPUT_HANDLED}",
     f"output_double_register_{OUTPUT_PEAK}",
 )
-"""What the driver reads back, in order."""
+"""Registers that the driver reads back, in order."""
 
 
 def input_values(sequence: int, command: Command, arguments: Sequence[float]) -> tuple[int | float, ...]:
-    """Values of the input recipe.
+    """Return the values of the input recipe.
 
     Args:
-        sequence: of the command, from 1.
-        command: what is asked.
+        sequence: number of the command, from 1.
+        command: command.
         arguments: at most `ARGUMENTS` numbers; the rest is zero.
     """
     return (sequence, int(command), *arguments, *([0.0] * (ARGUMENTS - len(arguments))))
 
 
 def script_names() -> dict[str, int]:
-    """Names of registers and commands as the control program's template uses them."""
+    """Return the names of registers and commands in the control program's template."""
     return {
         "IN_SEQUENCE": INPUT_SEQUENCE,
         "IN_COMMAND": INPUT_COMMAND,

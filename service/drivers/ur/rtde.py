@@ -1,7 +1,7 @@
-"""Asyncio client of RTDE, protocol version 2: reads every package, queues nothing, says why it failed.
+"""Asyncio client of RTDE, protocol version 2: it reads every package, queues nothing, and reports every failure.
 
 Packages are decoded where their bytes arrive, without a task or a queue in between, so a receiver sees them in order
-and as soon as they are there. Works on asyncio's own loop and on uvloop.
+and without delay. The client works on asyncio's own loop and on uvloop.
 """
 
 import asyncio
@@ -12,7 +12,7 @@ from typing import TypeVar, cast
 
 from service.drivers.ur.rtde_link import LinkError, RtdeLink, open_link
 from wire.rtde.codec import HEADER_SIZE, Decoded, PackageType, Recipe, Value, frame
-from wire.rtde.errors import PackageError, Reason, RtdeError
+from wire.rtde.errors import PackageError, RtdeError, RtdeErrorReason
 from wire.rtde.messages import (
     PORT,
     PROTOCOL_VERSION,
@@ -26,38 +26,38 @@ from wire.rtde.messages import (
 )
 
 RATE_HZ = 500
-"""Of the controller's real-time loop; data come at every n-th tick of it."""
+"""Rate of the controller's real-time loop; data packages come at every n-th tick of it."""
 _LONGEST_TEXT = HEADER_SIZE + 3 + 2 * 0xFF
 
 _T = TypeVar("_T")
 
 
 class RtdeClient:
-    """One client of one controller; connects again after a loss with the same three calls.
+    """One client of one controller; the same three calls connect it again after a loss.
 
-    `connect`, `setup` and `start` are one after another, each raises what went wrong, and after an error the connection
-    is closed. From the end of `start` on a loss is told once, through `on_lost`.
+    Call `connect`, `setup` and `start` in this order. Each raises its failure, and an error closes the connection.
+    After `start` a loss is reported once, through `on_lost`.
 
     Args:
-        host: of the controller.
-        port: of its RTDE service.
-        clock: monotonic seconds, for `arrival_s`.
-        on_package: receives the values of a data package in the order of the recipe, as `Recipe.decode` gives them, and
-            the time of its arrival; packages that arrive together share it. What it raises ends the connection.
-        on_lost: receives why the connection ended.
-        on_text: receives what the controller says in words.
-        timeout_s: for each step of the connection.
-        silence_s: a connection that carries nothing for this long is lost, noticed within twice the time, real time;
-            None where silence is normal, as in a world that is advanced step by step.
+        host: address of the controller.
+        port: port of its RTDE service.
+        clock: returns monotonic time, s, for `arrival_s`.
+        on_package: receives the values of a data package in the order of the recipe, as `Recipe.decode` returns them,
+            and the time of arrival; packages that arrive together share it. An exception from it ends the connection.
+        on_lost: receives the reason why the connection ended.
+        on_text: receives the controller's text messages.
+        timeout_s: longest duration of each step of the connection, s.
+        silence_s: a connection without data for this long is lost; the loss is noticed within twice the time, real
+            time. None if silence is normal, as in a world that is advanced step by step.
 
     Attributes:
-        controller_version: of the controller that answered last.
+        controller_version: version of the controller that answered last.
         outputs: recipe of the data packages that arrive.
         inputs: recipes that may be sent, in the order of `setup`.
-        received: data packages since `connect`, as all counters.
-        skipped: packages that the controller left out, from the gaps of the timestamps.
-        out_of_order: packages that were not newer than the one before; they are delivered all the same.
-        dropped: inputs that could not leave at once.
+        received: data packages since `connect`, like all counters.
+        skipped: packages left out by the controller, derived from gaps of the timestamps.
+        out_of_order: packages not newer than the previous one; they are delivered too.
+        dropped: inputs that could not be sent at once.
     """
 
     def __init__(
@@ -91,15 +91,15 @@ class RtdeClient:
 
     @property
     def ready(self) -> bool:
-        """Whether the controller's data arrive. Not true of a connection that merely exists."""
+        """The controller's data arrive; a connection alone does not suffice."""
         return self._link is not None and self._link.error is None and self.received > 0
 
     async def connect(self) -> None:
-        """Reach the controller and agree on the protocol; an older connection is dropped.
+        """Connect to the controller and agree on the protocol; an older connection is dropped.
 
         Raises:
-            LinkError: no controller, no answer in time, or another protocol.
-            RtdeError: something that is no RTDE answers.
+            LinkError: there is no controller, no answer in time, or another protocol version.
+            RtdeError: the peer's answer is not RTDE.
         """
         self._drop()
         self.outputs, self.inputs = None, ()
@@ -113,28 +113,30 @@ class RtdeClient:
             late = isinstance(error, TimeoutError)
             text = f"{self.name}: {f'no connection in {self._timeout_s} s' if late else error}"
             hint = "is the controller on, the address right, RTDE enabled under Security/Services?"
-            raise LinkError(Reason.TIMEOUT if late else Reason.UNREACHABLE, f"{text}; {hint}") from error
+            raise LinkError(
+                RtdeErrorReason.TIMEOUT if late else RtdeErrorReason.UNREACHABLE, f"{text}; {hint}"
+            ) from error
         accepted = await self._ask(encode_version_request(), PackageType.PROTOCOL_VERSION, decode_accepted)
         if not accepted:
             self._drop()
             text = f"{self.name} does not speak version {PROTOCOL_VERSION} of the protocol: update its software"
-            raise LinkError(Reason.REFUSED, text)
+            raise LinkError(RtdeErrorReason.REFUSED, text)
         kind = PackageType.CONTROLLER_VERSION
         self.controller_version = await self._ask(frame(kind), kind, ControllerVersion.decode)
 
     async def setup(self, outputs: Sequence[str], frequency_hz: float, inputs: Sequence[Sequence[str]] = ()) -> None:
-        """Agree on what is received and on what may be sent.
+        """Agree on the received variables and on those that may be sent.
 
         Args:
             outputs: variables to receive, `timestamp` among them.
-            frequency_hz: of the data packages, 1 to 500; the controller sends every `floor(500 / f)`-th tick.
+            frequency_hz: rate of the data packages, 1 to 500; the controller sends every `floor(500 / f)`-th tick.
             inputs: variables of each input recipe.
 
         Raises:
-            SetupError: the controller does not know a variable, or another client holds it; names each.
-            LinkError: no connection, or no answer in time.
-            RtdeError: an answer that is not one.
-            ValueError: no timestamp, or a frequency that RTDE does not have.
+            SetupError: the controller does not know a variable, or another client holds it; the error names each.
+            LinkError: there is no connection, or no answer in time.
+            RtdeError: the answer is malformed.
+            ValueError: the outputs lack the timestamp, or RTDE does not have the frequency.
         """
         if "timestamp" not in outputs:
             raise ValueError("the outputs need `timestamp`: skipped packages are counted from it")
@@ -153,18 +155,20 @@ class RtdeClient:
         )
 
     async def start(self) -> None:
-        """Let the data flow; returns once the first of them arrived.
+        """Start the data; return once the first package has arrived.
 
         Raises:
             LinkError: the controller refuses, or no data come in time.
-            RtdeError: data that are not what was agreed.
+            RtdeError: the data do not match the recipe.
         """
         link = self._link_or_error()
         if self.outputs is not None:
             link.limit(max(HEADER_SIZE + self.outputs.size, _LONGEST_TEXT))
         if not await self._ask(frame(PackageType.START), PackageType.START, decode_accepted):
             self._drop()
-            raise LinkError(Reason.REFUSED, f"{self.name} does not start the data; is an output recipe set up?")
+            raise LinkError(
+                RtdeErrorReason.REFUSED, f"{self.name} does not start the data; is an output recipe set up?"
+            )
         if not self.received:
             await self._ask(b"", PackageType.DATA, len)
         self._link_or_error()
@@ -177,14 +181,14 @@ class RtdeClient:
 
         Args:
             recipe: index of the recipe in `setup`'s `inputs`.
-            values: one for each of its variables.
+            values: one value for each of its variables.
 
         Returns:
-            Whether they left. False, and counted in `dropped`, where the link is not ready or does not take them at
-            once: they are not queued, the next ones replace them.
+            True if they left. False if the link is not ready or does not take them at once; they are then counted in
+                `dropped` and not queued, since the next values replace them.
 
         Raises:
-            PackageError: a value that does not fit its variable.
+            PackageError: a value does not fit its variable.
         """
         package = self.inputs[recipe].encode(values)
         if self._link is not None and self.ready and self._link.send_now(package):
@@ -193,7 +197,7 @@ class RtdeClient:
         return False
 
     async def close(self) -> None:
-        """End the connection. Where data flow, the controller has then read everything that was sent before."""
+        """End the connection. If data flow, the controller has then read everything that was sent before."""
         link = self._link
         if self.ready:
             with contextlib.suppress(RtdeError):
@@ -206,7 +210,9 @@ class RtdeClient:
         return await self._ask(request, kind, lambda payload: SetupReply.decode(payload).recipe(names))
 
     async def _ask(self, request: bytes, kind: PackageType, read: Callable[[bytes], _T]) -> _T:
-        """Send a request and return what `read` makes of the payload that comes back; on any error, hang up."""
+        """Send a request and return the payload of the answer, decoded by `read`; on any error, close the
+        connection.
+        """
         link = self._link_or_error()
         try:
             async with asyncio.timeout(self._timeout_s):
@@ -215,14 +221,14 @@ class RtdeClient:
             self._drop()
             said = f"; it said: {link.last_text}" if link.last_text else ""
             text = f"{self.name} did not answer {kind.name} in {self._timeout_s} s{said}"
-            raise LinkError(Reason.TIMEOUT, text) from None
+            raise LinkError(RtdeErrorReason.TIMEOUT, text) from None
         except BaseException:
             self._drop()
             raise
 
     def _link_or_error(self) -> RtdeLink:
         if self._link is None:
-            raise LinkError(Reason.CLOSED, f"{self.name}: no connection; connect first")
+            raise LinkError(RtdeErrorReason.CLOSED, f"{self.name}: no connection; connect first")
         if self._link.error is not None:
             raise self._link.error
         return self._link
@@ -230,11 +236,11 @@ class RtdeClient:
     def _drop(self) -> None:
         link, self._link = self._link, None
         if link is not None:
-            link.fail(LinkError(Reason.CLOSED, f"{self.name}: closed from this side"))
+            link.fail(LinkError(RtdeErrorReason.CLOSED, f"{self.name}: closed from this side"))
 
     def _receive(self, payload: bytes, arrival_s: float) -> None:
         if self.outputs is None:
-            raise PackageError(Reason.UNEXPECTED, "data before any were asked for")
+            raise PackageError(RtdeErrorReason.UNEXPECTED, "data before any were asked for")
         values = self.outputs.decode(payload)
         stamp = cast("float", values[self._stamp_at])
         if not 0.5 < (stamp - self._newest_stamp) * self._packages_per_s < 1.5:
@@ -245,7 +251,7 @@ class RtdeClient:
 
     def _note_gap(self, stamp: float) -> None:
         if not math.isfinite(stamp):
-            raise PackageError(Reason.MALFORMED, f"a timestamp of {stamp}")
+            raise PackageError(RtdeErrorReason.MALFORMED, f"a timestamp of {stamp}")
         if not self.received:
             return
         steps = round((stamp - self._newest_stamp) * self._packages_per_s)
@@ -258,7 +264,7 @@ class RtdeClient:
         if link is not self._link or link.error is not None:
             return
         if self.received == received:
-            link.fail(LinkError(Reason.TIMEOUT, f"{self.name}: no data for {silence_s} s"))
+            link.fail(LinkError(RtdeErrorReason.TIMEOUT, f"{self.name}: no data for {silence_s} s"))
         else:
             asyncio.get_running_loop().call_later(silence_s, self._watch, link, silence_s, self.received)
 

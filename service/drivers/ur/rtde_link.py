@@ -1,4 +1,4 @@
-"""One TCP connection to an RTDE service: bytes in and out, packages cut and sorted, and why it ended."""
+"""One TCP connection to an RTDE service: it carries bytes, cuts and sorts packages, and keeps the reason of its end."""
 
 import asyncio
 import socket
@@ -6,29 +6,30 @@ from collections.abc import Callable
 from typing import cast
 
 from wire.rtde.codec import FrameReader, PackageType
-from wire.rtde.errors import PackageError, Reason, RtdeError
+from wire.rtde.errors import PackageError, RtdeError, RtdeErrorReason
 from wire.rtde.messages import TextMessage
 
 SEND_BUFFER = 2048
-"""Of the socket, bytes; the smallest that Linux has, which is about six packages. A dead link holds back no more than
-those, so nothing older reaches the arm when the link comes back."""
+"""Send buffer of the socket, bytes; the smallest that Linux has, about six packages. A dead link holds back no more
+than those, so nothing older reaches the arm when the link recovers.
+"""
 
 _DATA = int(PackageType.DATA)
 _TYPES = frozenset(int(kind) for kind in PackageType)
 
 
 class LinkError(RtdeError):
-    """The connection could not be had, or ended; `reason` says why, the cause is what the bytes had wrong."""
+    """The connection failed or ended; `reason` gives the kind, the exception's cause an error in the received bytes."""
 
 
 class RtdeLink(asyncio.Protocol):
-    """One connection: bytes in and out, and why it ended.
+    """One connection: it carries bytes and keeps the reason of its end.
 
     Attributes:
-        error: why it failed; None while it holds.
-        started: the owner wants to be told of a loss.
-        last_text: what the controller last said in words.
-        closed: done when the socket is.
+        error: reason of the failure; None while the connection holds.
+        started: the owner wants to hear of a loss.
+        last_text: the controller's last text message.
+        closed: future that is done once the socket is closed.
     """
 
     def __init__(
@@ -56,11 +57,11 @@ class RtdeLink(asyncio.Protocol):
         self._reply: asyncio.Future[bytes] | None = None
 
     def limit(self, size: int) -> None:
-        """Take packages of at most `size` bytes from now on: a broken stream is found sooner."""
+        """Limit packages to `size` bytes from now on; a broken stream is detected sooner."""
         self._reader.limit = size
 
     async def ask(self, request: bytes, kind: PackageType) -> bytes:
-        """Send a request and return the payload of the package of type `kind` that comes next."""
+        """Send a request and return the payload of the next package of type `kind`."""
         assert self._transport is not None  # noqa: S101 - `open_link` returns after `connection_made`
         self._awaited, self._reply = kind, asyncio.get_running_loop().create_future()
         try:
@@ -70,10 +71,10 @@ class RtdeLink(asyncio.Protocol):
             self._awaited = self._reply = None
 
     def send_now(self, package: bytes) -> bool:
-        """Hand a package to the system, or return False where it takes none at present.
+        """Pass a package to the system, or return False if the system takes none at present.
 
-        The socket is written here, not through the transport, which would queue what does not leave. Of a package that
-        the system takes in part the rest has to follow, so that one goes through the transport.
+        The socket is written directly, because the transport would queue a package that cannot leave. If the system
+        takes part of a package, the rest must follow and goes through the transport.
         """
         if self._transport is None or self._transport.get_write_buffer_size():
             return False
@@ -82,14 +83,14 @@ class RtdeLink(asyncio.Protocol):
         except BlockingIOError:
             return False
         except OSError as error:
-            self.fail(LinkError(Reason.CLOSED, f"{self._name}: {error}"))
+            self.fail(LinkError(RtdeErrorReason.CLOSED, f"{self._name}: {error}"))
             return False
         if sent < len(package):
             self._transport.write(package[sent:])
         return True
 
     def fail(self, error: RtdeError) -> None:
-        """End the connection with a reason; the first one stays."""
+        """End the connection with a reason; the first reason stays."""
         if self.error is None:
             self.error = error
         if self._reply is not None and not self._reply.done():
@@ -118,7 +119,7 @@ class RtdeLink(asyncio.Protocol):
             self.fail(failure)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        error = LinkError(Reason.CLOSED, f"{self._name}: {exc or 'the controller closed the connection'}")
+        error = LinkError(RtdeErrorReason.CLOSED, f"{self._name}: {exc or 'the controller closed the connection'}")
         self.fail(error)
         self.closed.set_result(None)
         self._on_lost(self, self.error or error)
@@ -134,9 +135,11 @@ class RtdeLink(asyncio.Protocol):
             self.last_text = message.message
             self._on_text(message)
         elif kind in _TYPES:
-            raise PackageError(Reason.UNEXPECTED, f"an answer to {PackageType(kind).name} that nobody asked for")
+            raise PackageError(
+                RtdeErrorReason.UNEXPECTED, f"an answer to {PackageType(kind).name} that nobody asked for"
+            )
         else:
-            raise PackageError(Reason.UNKNOWN_PACKAGE, f"a package of type {kind}, which RTDE does not have")
+            raise PackageError(RtdeErrorReason.UNKNOWN_PACKAGE, f"a package of type {kind}, which RTDE does not have")
 
 
 async def open_link(
@@ -148,7 +151,7 @@ async def open_link(
     on_lost: Callable[[RtdeLink, RtdeError], None],
     clock: Callable[[], float],
 ) -> RtdeLink:
-    """Connect to the first address of `host` that answers; raises OSError where none does."""
+    """Connect to the first address of `host` that answers; raise OSError if none does."""
     loop = asyncio.get_running_loop()
     refusal = OSError(f"{host} has no address")
     for family, kind, proto, _, address in await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM):

@@ -1,4 +1,4 @@
-"""From RTDE's data packages to the cell's samples: what the controller and the control program say about the arm."""
+"""Samples of the cell from RTDE's data packages: the state of the arm and of the control program."""
 
 from collections.abc import Sequence
 from math import cos, hypot, sin
@@ -16,16 +16,17 @@ from wire.rtde.codec import Decoded
 from wire.rtde.modes import RuntimeState, SafetyMode
 
 ALIVE_S = 0.1
-"""A program whose counter stands for this long does not run. Zeroing the sensor may hold it up for some steps."""
+"""Time without a change of its counter after which a program does not run. Zeroing the sensor may take some steps."""
 WINDOW_S = 0.5
-"""Of the least delay: it is that of one to two windows."""
+"""Window over which the minimum delay is tracked, s; the minimum covers one to two windows."""
 
 Numbers = tuple[float, ...]
 
 
 class Package(NamedTuple):
-    """One data package, in the order of `OUTPUTS`; units and frames are RTDE's: SI, base axes, poses with rotation
-    vectors.
+    """One data package, in the order of `OUTPUTS`.
+
+    Units and frames are RTDE's: SI, base axes, poses with rotation vectors.
     """
 
     time_s: float
@@ -57,7 +58,7 @@ class Package(NamedTuple):
 
     @property
     def tick(self) -> int:
-        """The controller's step, from its time stamp."""
+        """Number of the controller's step, from its time stamp."""
         return round(self.time_s / TICK_S)
 
 
@@ -82,12 +83,13 @@ OUTPUTS: tuple[str, ...] = (
 
 
 class ProgramWatch:
-    """Whether the control program of this checksum runs, by the controller's word and by the program's own counter.
+    """Tells whether the control program with a checksum runs, from the controller's state and the program's own
+    counter.
 
-    Output registers keep their values when a program ends, so they alone prove nothing.
+    Output registers keep their values after a program ends, so they alone prove nothing.
 
     Args:
-        crc: of the program that is meant.
+        crc: checksum of the program.
     """
 
     def __init__(self, crc: int) -> None:
@@ -97,12 +99,12 @@ class ProgramWatch:
         self.running = False
 
     def forget(self) -> None:
-        """Believe nothing from before: another connection, or a program that was just sent."""
+        """Discard earlier observations, after a new connection or a newly sent program."""
         self._counter = None
         self.running = False
 
     def observe(self, package: Package) -> bool:
-        """Take in a package; return whether the program runs."""
+        """Record a package; return True if the program runs."""
         playing = package.runtime_state == RuntimeState.PLAYING and package.crc == self._crc
         if not playing:
             self._counter = None
@@ -120,11 +122,11 @@ class ProgramWatch:
 
 
 class ArrivalClock:
-    """When a package would have arrived had nobody been busy: the host's clock, freed of the event loop's delays.
+    """Estimates arrival times on the host's clock without the event loop's delays.
 
-    Packages that wait in the socket while the loop is held up are all read at once, and would look fresh. The least
-    delay between the robot's stamp and the host's reading in the last moments is the link's own; whatever is above it
-    was waiting. Only the last moments, because clocks drift, and an emulated controller loses time on a busy host.
+    Packages that wait in the socket while the loop is busy are all read at once and would look fresh. The smallest
+    recent delay between the robot's stamp and the host's reading is the link's own; any excess is waiting time. Only
+    recent delays count, because clocks drift and an emulated controller loses time on a busy host.
     """
 
     def __init__(self) -> None:
@@ -132,11 +134,11 @@ class ArrivalClock:
         self._since_s = float("-inf")
 
     def arrival(self, stamp_s: float, read_s: float) -> float:
-        """Arrival on the host's clock, never later than `read_s`.
+        """Return the arrival on the host's clock, never later than `read_s`.
 
         Args:
-            stamp_s: the robot's.
-            read_s: when the host read the package.
+            stamp_s: time stamp of the robot.
+            read_s: time at which the host read the package.
         """
         if read_s - self._since_s > WINDOW_S:
             self._before_s, self._offset_s = self._offset_s, float("inf")
@@ -146,10 +148,10 @@ class ArrivalClock:
 
 
 class SampleReader:
-    """Makes samples of one controller's packages.
+    """Makes samples from one controller's packages.
 
     Args:
-        ur: what the flange carries, and where the sensor ends.
+        ur: section of the configuration with the payload on the flange and the range of the sensor.
     """
 
     def __init__(self, ur: UrSection) -> None:
@@ -163,13 +165,13 @@ class SampleReader:
     def read(
         self, package: Package, arrival_s: float, *, running: bool, episode: int, hole_estimate: FloatArray | None
     ) -> Sample:
-        """Turn a package into a sample.
+        """Convert a package into a sample.
 
         Args:
-            package: with a time stamp that goes back, the epoch is another.
-            arrival_s: by the driver's clock.
-            running: whether the control program runs.
-            episode: of a simulated world; 0 for a real arm.
+            package: package; if its time stamp goes back, the sample has a new epoch.
+            arrival_s: arrival by the driver's clock.
+            running: the control program runs.
+            episode: episode of a simulated world; 0 for a real arm.
             hole_estimate: (3,) m, if there is one.
 
         Raises:
@@ -202,7 +204,7 @@ class SampleReader:
         )
 
     def wrench(self, package: Package) -> FloatArray:
-        """(6,) N and N·m at the TCP, base axes, of a package whose torque may be about the flange."""
+        """Return the wrench at the TCP (6,), N and N·m, base axes; the package's torque may be about the flange."""
         fx, fy, fz, tx, ty, tz = package.tcp_force
         x, y, z = _turned(self._lever, package.tcp_pose[3:])
         return np.array([fx, fy, fz, tx - (y * fz - z * fy), ty - (z * fx - x * fz), tz - (x * fy - y * fx)])
@@ -217,7 +219,7 @@ class SampleReader:
 
 
 def _turned(vector: Sequence[float], rotvec: Sequence[float]) -> tuple[float, float, float]:
-    """`vector` (3,) turned by a rotation vector (3,), rad, in plain floats (Rodrigues)."""
+    """Turn `vector` (3,) by a rotation vector (3,), rad, in plain floats (Rodrigues)."""
     x, y, z = vector
     rx, ry, rz = rotvec
     angle = hypot(rx, ry, rz)

@@ -1,7 +1,7 @@
-"""Sends a program to the controller's primary port, TCP 30001, and returns once it runs, or says why it does not.
+"""Upload of a program to the controller's primary port, TCP 30001, until it runs or its failure is known.
 
-A controller takes whatever is sent there and answers nothing; what became of it is read from the messages that the same
-port pushes: started, failed at a line, or refused because the connection was made in local control.
+A controller accepts any text there and does not answer. The result is read from the messages that the same port pushes:
+started, failed at a line, or refused because the connection was made in local control.
 """
 
 import asyncio
@@ -24,7 +24,7 @@ from wire.primary.packages import PORT, PackageReader, PackageType
 from wire.primary.state import RobotMode, decode_state
 from wire.rtde import modes
 
-__all__ = ["PORT", "Reason", "UploadError", "upload"]
+__all__ = ["PORT", "UploadError", "UploadErrorReason", "upload"]
 
 START_TIMEOUT_S = 5.0
 _READ_BYTES = 16384
@@ -32,35 +32,35 @@ _GRAVE = (ReportLevel.VIOLATION, ReportLevel.FAULT, ReportLevel.CRITICAL_FAULT)
 _DEFINITION = re.compile(r"\s*def\s+([A-Za-z_]\w*)\s*\(")
 
 
-class Reason(StrEnum):
-    """Why a program does not run."""
+class UploadErrorReason(StrEnum):
+    """Kinds of `UploadError`."""
 
     UNREACHABLE = "unreachable"
     """No connection."""
     LOST = "lost"
-    """The connection ended, or what came is not the primary interface."""
+    """The connection ended, or the peer is not the primary interface."""
     TIMEOUT = "timeout"
-    """Nothing told in time that the program runs."""
+    """No message reported in time that the program runs."""
     NOT_RUNNING = "not_running"
     """The arm has no power, its brakes are closed, or it is stopped for safety."""
     NOT_REMOTE = "not_remote"
-    """The robot is, or was when the connection was made, in local control."""
+    """The robot is in local control, or was when the connection was made."""
     SCRIPT = "script"
-    """The program is wrong: it does not compile, or failed as it started."""
+    """The program is wrong: it does not compile, or failed at its start."""
     CONTROLLER = "controller"
     """The controller reported an error."""
 
 
 class UploadError(Exception):
-    """A program does not run; `reason` says which kind, the text what to do.
+    """A program does not run; `reason` gives the kind, the text says what to do.
 
     Attributes:
-        reason: for code to match on.
-        line: of the text that was given, from 1; 0 where the error has no place.
-        column: from 1; 0 likewise.
+        reason: kind of the failure, for code to match on.
+        line: line of the given text, from 1; 0 if the error has no place.
+        column: column, from 1; 0 likewise.
     """
 
-    def __init__(self, reason: Reason, text: str, line: int = 0, column: int = 0) -> None:
+    def __init__(self, reason: UploadErrorReason, text: str, line: int = 0, column: int = 0) -> None:
         super().__init__(text)
         self.reason = reason
         self.line = line
@@ -68,17 +68,17 @@ class UploadError(Exception):
 
 
 async def upload(host: str, port: int, text: str, *, timeout_s: float = START_TIMEOUT_S) -> None:
-    """Run a program on a controller, in place of the one that runs there.
+    """Run a program on a controller, replacing the running one.
 
     Args:
         host: address of the controller.
         port: its primary port.
-        text: one `def name(): … end`; comments and blank lines may stand before it.
-        timeout_s: from connecting until the program runs.
+        text: one `def name(): … end`; comments and blank lines may precede it.
+        timeout_s: longest time from connecting until the program runs, s.
 
     Raises:
         UploadError: the program does not run.
-        ValueError: the text does not begin with `def name(`; a secondary program's fate cannot be known.
+        ValueError: the text does not begin with `def name(`; the result of a secondary program cannot be observed.
     """
     skipped, program = _begin(text)
     definition = _DEFINITION.match(program)
@@ -89,11 +89,13 @@ async def upload(host: str, port: int, text: str, *, timeout_s: float = START_TI
             await _run(host, port, program, definition[1], skipped)
     except TimeoutError as error:
         what = f"{host}:{port} did not report within {timeout_s:g} s that `{definition[1]}` runs"
-        raise UploadError(Reason.TIMEOUT, f"{what}; is the robot in remote control?") from error
+        raise UploadError(UploadErrorReason.TIMEOUT, f"{what}; is the robot in remote control?") from error
 
 
 def _begin(text: str) -> tuple[int, str]:
-    """Cut off what stands before the program, as controllers may count its lines or not; return how many lines."""
+    """Cut off the lines before the program, which controllers may or may not count; return their number and the
+    program.
+    """
     lines = text.splitlines()
     skipped = 0
     while skipped < len(lines) and not lines[skipped].partition("#")[0].strip():
@@ -105,12 +107,14 @@ async def _run(host: str, port: int, program: str, name: str, skipped: int) -> N
     try:
         reader, writer = await asyncio.open_connection(host, port)
     except OSError as error:
-        raise UploadError(Reason.UNREACHABLE, f"cannot reach the primary port {host}:{port}: {error}") from error
+        raise UploadError(
+            UploadErrorReason.UNREACHABLE, f"cannot reach the primary port {host}:{port}: {error}"
+        ) from error
     try:
         packages = _packages(reader)
         await _await_running(packages)
         if writer.is_closing():
-            raise ConnectionError("closed by the controller")  # writing would not say so on every event loop
+            raise ConnectionError("closed by the controller")  # not every event loop reports this when writing
         writer.write(program.encode())
         await writer.drain()
         async for package in packages:
@@ -119,7 +123,7 @@ async def _run(host: str, port: int, program: str, name: str, skipped: int) -> N
                 if isinstance(package, Key) and (package.title, package.text) == (PROGRAM_STARTED, name):
                     return
     except (OSError, PrimaryError) as error:
-        raise UploadError(Reason.LOST, f"the connection to {host}:{port} broke: {error}") from error
+        raise UploadError(UploadErrorReason.LOST, f"the connection to {host}:{port} broke: {error}") from error
     finally:
         writer.close()
         with contextlib.suppress(OSError):
@@ -127,7 +131,7 @@ async def _run(host: str, port: int, program: str, name: str, skipped: int) -> N
 
 
 async def _packages(reader: asyncio.StreamReader) -> AsyncIterator[RobotMode | Message]:
-    """Yield what the port pushes and matters here, without end."""
+    """Yield the port's messages that matter here, without end."""
     packages = PackageReader()
     while data := await reader.read(_READ_BYTES):
         for kind, content in packages.feed(data):
@@ -139,21 +143,25 @@ async def _packages(reader: asyncio.StreamReader) -> AsyncIterator[RobotMode | M
                 message = decode_message(content).message
                 if message is not None:
                     yield message
-    raise UploadError(Reason.LOST, "the controller closed the connection")
+    raise UploadError(UploadErrorReason.LOST, "the controller closed the connection")
 
 
 async def _await_running(packages: AsyncIterator[RobotMode | Message]) -> None:
-    """Read until the arm's mode is known, and refuse to send a program to one that cannot run it."""
+    """Read until the arm's mode is known; raise for an arm that cannot run a program."""
     async for package in packages:
         if not isinstance(package, RobotMode):
             continue
         if package.is_emergency_stopped:
-            raise UploadError(Reason.NOT_RUNNING, "the arm is emergency-stopped; release, power on, release the brakes")
+            raise UploadError(
+                UploadErrorReason.NOT_RUNNING, "the arm is emergency-stopped; release, power on, release the brakes"
+            )
         if package.is_protective_stopped:
-            raise UploadError(Reason.NOT_RUNNING, "the arm is in a protective stop; inspect the cause, then unlock it")
+            raise UploadError(
+                UploadErrorReason.NOT_RUNNING, "the arm is in a protective stop; inspect the cause, then unlock it"
+            )
         if package.robot_mode != modes.RobotMode.RUNNING:
             text = f"the arm is in robot mode {package.robot_mode}, not RUNNING; power it on and release the brakes"
-            raise UploadError(Reason.NOT_RUNNING, text)
+            raise UploadError(UploadErrorReason.NOT_RUNNING, text)
         return
 
 
@@ -161,11 +169,11 @@ def _raise_error(message: Message, skipped: int) -> None:
     if isinstance(message, RuntimeException):
         line = message.line + skipped if message.line > 0 else 0
         place = f"line {line}, column {message.column}: " if line else ""
-        raise UploadError(Reason.SCRIPT, f"{place}{message.text}", line, message.column)
+        raise UploadError(UploadErrorReason.SCRIPT, f"{place}{message.text}", line, message.column)
     if isinstance(message, ErrorCode):
         if message.code == ErrorCode.READ_ONLY:
             text = "the controller takes no program over this connection: switch the robot to remote control, try again"
-            raise UploadError(Reason.NOT_REMOTE, text)
+            raise UploadError(UploadErrorReason.NOT_REMOTE, text)
         if message.level in _GRAVE:
             text = f"the controller reports C{message.code}A{message.argument}: {message.text or 'no detail'}"
-            raise UploadError(Reason.CONTROLLER, text)
+            raise UploadError(UploadErrorReason.CONTROLLER, text)

@@ -1,6 +1,4 @@
-"""Functions of URScript, by theme; a script knows those of `standard_table`."""
-
-from typing import TYPE_CHECKING
+"""Functions of URScript, by theme; `standard_builtins` collects those that a script can call."""
 
 from sim_backend.ur_controller.builtins.io import io_builtins
 from sim_backend.ur_controller.builtins.kinematics import kinematics_builtins
@@ -11,14 +9,12 @@ from sim_backend.ur_controller.builtins.registers import register_builtins
 from sim_backend.ur_controller.builtins.sockets import socket_builtins
 from sim_backend.ur_controller.builtins.state import state_builtins
 from sim_backend.ur_controller.builtins.strings import STRINGS
+from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.script import Builtin
 
-if TYPE_CHECKING:
-    from sim_backend.ur_controller.controller import Controller
 
-
-def standard_table(controller: "Controller") -> dict[str, Builtin]:
-    """Every builtin that is not part of the language itself, bound to `controller`."""
+def standard_builtins(controller: Controller) -> dict[str, Builtin]:
+    """Return every builtin that is not part of the language itself, bound to `controller`."""
     return {
         **MATHEMATICS,
         **STRINGS,

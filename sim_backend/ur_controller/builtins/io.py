@@ -19,7 +19,7 @@ _BOX_ANALOG, _TOOL_ANALOG = range(2), range(2, 4)
 
 
 def io_builtins(terminals: Terminals) -> dict[str, Builtin]:
-    """Builtins on `terminals`."""
+    """Return the builtins for `terminals`."""
 
     def bit(bits: int, group: range, n: Value) -> bool:
         return bool(bits >> _terminal(group, n) & 1)

@@ -1,10 +1,11 @@
-"""URScript's kinematics, and the targets of the motion."""
+"""URScript's kinematics, and the queries of motion targets."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.geometry import compose
 from sim_backend.ur_controller.motion.inverse import inverse_at
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Value
@@ -15,18 +16,15 @@ from sim_backend.world.kinematics import JOINT_RANGE_RAD, KinematicsError
 
 from .motion import NO_SOLUTION
 
-if TYPE_CHECKING:
-    from sim_backend.ur_controller.controller import Controller
-
 ACTIVE_TCP = "active_tcp"
 _SOLUTION_COST, _JACOBIAN_COST = 1000, 500
-"""Operations that the eight solutions, and a Jacobian, count for beyond those of any call."""
+"""Operations charged for the eight solutions and for a Jacobian, in addition to those of any call."""
 _MEASURED: list[float] = []
-"""Default of joint angles that a script leaves out: those measured now."""
+"""Default of joint angles that a script leaves out; it stands for the present measurement."""
 
 
-def kinematics_builtins(controller: "Controller") -> dict[str, Builtin]:
-    """The kinematic functions of one controller, by the names that scripts call."""
+def kinematics_builtins(controller: Controller) -> dict[str, Builtin]:
+    """Return the kinematic functions of one controller by script name."""
     motion = controller.motion
     plant = controller.plant
 
@@ -114,6 +112,6 @@ def kinematics_builtins(controller: "Controller") -> dict[str, Builtin]:
 
 
 def _errors(position: Value, orientation: Value) -> None:
-    """The errors that a numerical solution may have; this one is exact."""
+    """Check the errors allowed to a numerical solution; this solution is exact."""
     number(position, "maxPositionError")
     number(orientation, "maxOrientationError")

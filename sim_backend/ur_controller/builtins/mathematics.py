@@ -25,7 +25,7 @@ from sim_backend.ur_controller.script.values import (
 from .poses import pose_inv
 
 _BITS: Final = 32
-_random: Final = pseudo_random.Random(0)  # noqa: S311  # no secret; the same in every run
+_random: Final = pseudo_random.Random(0)  # noqa: S311  # not secret; the same in every run
 
 
 def acos(f: Value) -> float:
@@ -126,13 +126,13 @@ def size(v: Value) -> Value:
 
 
 def make_list(length: Value, initial_value: Value, capacity: Value = None) -> list[Value]:
-    """`length` times `initial_value`; `capacity` bounds nothing here, since a list grows when it has to."""
+    """Return `length` times `initial_value`; `capacity` has no effect, since lists grow as needed."""
     count = integer(length, "length")
     most = count if capacity is None else integer(capacity, "capacity")
     if not 0 <= count <= most <= LARGEST_LIST:
-        raise ScriptRuntimeError(f"A list has 0 … {LARGEST_LIST} elements, not {count} of {most}")
+        raise ScriptRuntimeError(f"A list can have 0 … {LARGEST_LIST} elements, not {count} of {most}")
     if is_list(initial_value) and not isinstance(initial_value, Pose):
-        raise ScriptRuntimeError("Type error: make_list makes no list of lists")
+        raise ScriptRuntimeError("Type error: make_list cannot make a list of lists")
     BUDGET.take(count)
     return checked_list([initial_value] * count)
 
@@ -144,7 +144,7 @@ def integer_to_binary_list(x: Value) -> list[bool]:
 
 
 def binary_list_to_integer(l: Value) -> int:  # noqa: E741  # the manual's name
-    """The signed integer of up to 32 booleans, the least significant first; further ones are ignored."""
+    """Return the signed integer of up to 32 booleans, the least significant first; further ones are ignored."""
     if not is_list(l) or any(type(bit) is not bool for bit in l[:_BITS]):
         raise ScriptRuntimeError(f"Type error: l must be a list of booleans, not a {kind_of(l)}")
     value = sum(1 << position for position, bit in enumerate(l[:_BITS]) if bit)
@@ -234,4 +234,4 @@ MATHEMATICS: Final = {
         transpose,
     )
 }
-"""By the names that scripts call."""
+"""Builtins by script name."""

@@ -1,22 +1,20 @@
 """URScript's motion functions: the `motion` module of the script manual.
 
-Only one thread at a time can move the arm: whoever waits in one of these functions. A thread that is killed there
-leaves the arm to come to rest by itself.
+Only one thread at a time can move the arm: the thread that waits in one of these functions. If that thread is killed,
+the arm comes to rest by itself.
 """
 
 from collections.abc import Callable, Generator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.motion import ForceTask, Motion
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Value
 from sim_backend.ur_controller.script.values import integer, is_list, number, pose, quantities, text_of_kind, truth
 from sim_backend.world.kinematics import JOINT_SPEED_RAD_S, KinematicsError
 from wire.records import TICK_S
-
-if TYPE_CHECKING:
-    from sim_backend.ur_controller.controller import Controller
 
 ANOTHER_THREAD = "Another thread is already controlling the robot"
 NO_SOLUTION = "Unable to find an inverse kinematics solution"
@@ -25,20 +23,20 @@ Wait = Generator[None, None, None]
 
 _SLOWEST_JOINT_RAD_S = float(JOINT_SPEED_RAD_S.min())
 _OPTIMOVE_RAD_S2, _OPTIMOVE_M_S, _OPTIMOVE_M_S2 = 10.0, 1.0, 5.0
-"""What a fraction of 1 stands for in optimovej and optimovel. An assumption: UR publishes none."""
+"""Values of a fraction of 1 in optimovej and optimovel. An assumption: UR publishes none."""
 _ALL_FREE, _BASE = [1] * 6, Pose([0.0] * 6)
 _LEAST_SHARE = 1e-6
 _LEAST, _MOST = 1e-9, 1e6
-"""Of speeds, accelerations, times and radii: beyond any motion, and far from what floats cannot hold."""
+"""Range of speeds, accelerations, times and radii: it exceeds any motion, and floats hold it without loss."""
 
 
-def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
-    """The motion functions of one controller, by the names that scripts call."""
+def motion_builtins(controller: Controller) -> dict[str, Builtin]:
+    """Return the motion functions of one controller by script name."""
     motion = controller.motion
     plant = controller.plant
 
     def moving(start: Callable[[], None]) -> Wait:
-        """Move the arm and wait, as the one thread that may."""
+        """Move the arm and wait, as the only thread that may."""
         thread = None if controller.execution is None else controller.execution.current_thread
         if motion.owner is not None and motion.owner is not thread:
             raise ScriptRuntimeError(ANOTHER_THREAD)
@@ -56,7 +54,7 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
                 motion.owner = None
 
     def joints_of(target: Value, what: str) -> list[float]:
-        """Joint angles of a target that is a list of them, or a pose."""
+        """Return the joint angles of a target, which is a list of them or a pose."""
         numbers = quantities(target, 6, what)
         if type(target) is not Pose:
             return numbers
@@ -66,7 +64,7 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
             raise ScriptRuntimeError(NO_SOLUTION) from error
 
     def pose_of(target: Value, what: str) -> list[float]:
-        """Pose of a target that is one, or a list of joint angles."""
+        """Return the pose of a target, which is a pose or a list of joint angles."""
         numbers = quantities(target, 6, what)
         return numbers if type(target) is Pose else plant.tcp_pose_of(numbers)
 
@@ -217,7 +215,7 @@ def motion_builtins(controller: "Controller") -> dict[str, Builtin]:
 
 
 def _feature(motion: Motion, feature: Value) -> list[float]:
-    """Pose of a feature that a script names or gives."""
+    """Return the pose of a feature that a script names or gives."""
     if feature == "base":
         return [0.0] * 6
     if feature == "tool":
@@ -233,7 +231,7 @@ def _list(value: Value, what: str) -> list[Value]:
 
 
 def _speeds(a: Value, v: Value, t: Value) -> tuple[float, float, float]:
-    """Acceleration, speed and time of a move; with a time the other two do not matter."""
+    """Return acceleration, speed and time of a move; a given time overrides the other two."""
     time_s = _not_negative(t, "t")
     if time_s > 0.0:
         return _not_negative(a, "a"), _not_negative(v, "v"), time_s
@@ -244,7 +242,7 @@ def _positive(value: Value, what: str) -> float:
     result = number(value, what)
     if not 0.0 < result <= _MOST:
         raise ScriptRuntimeError(f"{what} must be larger than 0 and no more than {_MOST:.0f}, not {result}")
-    return max(result, _LEAST)  # UR's client asks for accelerations of 1e-11, what rounding leaves of none
+    return max(result, _LEAST)  # UR's client asks for accelerations of 1e-11, the rounding remainder of 0
 
 
 def _not_negative(value: Value, what: str) -> float:

@@ -1,6 +1,6 @@
 """URScript's arithmetic of poses and wrenches. UR's script manual, "Module urmath".
 
-The parameters of the pose functions must be poses, a list of six numbers is none.
+The parameters of the pose functions must be poses; a list of six numbers is not accepted.
 """
 
 import math
@@ -21,25 +21,25 @@ from sim_backend.ur_controller.script.values import number, pose, vector
 
 
 def pose_trans(p_from: Value, p_from_to: Value) -> Pose:
-    """The pose `p_from_to`, given in the frame `p_from`, in the frame that `p_from` is given in."""
+    """Return the pose `p_from_to`, given in the frame `p_from`, in the frame in which `p_from` is given."""
     return Pose(compose(pose(p_from, "p_from"), pose(p_from_to, "p_from_to")))
 
 
 def pose_inv(p_from: Value) -> Pose:
-    """The inverse; its rotation vector is at most π long, whatever that of `p_from` is."""
+    """Return the inverse; the length of its rotation vector is at most π, whatever that of `p_from` is."""
     x, y, z, rx, ry, rz = invert(pose(p_from, "p_from"))
     return Pose([x, y, z, *rotvec_of(rotation_of(rx, ry, rz))])
 
 
 def pose_add(p_1: Value, p_2: Value) -> Pose:
-    """Sum of the positions, and the rotation R1 R2."""
+    """Return the sum of the positions, and the rotation R1 R2."""
     first, second = pose(p_1, "p_1"), pose(p_2, "p_2")
     turn = rotvec_of(multiply(rotation_of(*first[3:]), rotation_of(*second[3:])))
     return Pose([a + b for a, b in zip(first[:3], second[:3], strict=True)] + list(turn))
 
 
 def pose_sub(p_to: Value, p_from: Value) -> Pose:
-    """Difference of the positions, and the rotation R_from⁻¹ R_to, so that `pose_add(p_from, difference)` is `p_to`.
+    """Return the difference of the positions and the rotation R_from⁻¹ R_to: `pose_add(p_from, difference)` is `p_to`.
 
     The manual leaves the order of the rotations open.
     """
@@ -49,17 +49,17 @@ def pose_sub(p_to: Value, p_from: Value) -> Pose:
 
 
 def pose_dist(p_from: Value, p_to: Value) -> float:
-    """Euclidean length of the six elements of `pose_sub`; the manual says only that rotation counts."""
+    """Return the Euclidean length of the six elements of `pose_sub`; the manual says only that rotation counts."""
     return math.hypot(*pose_sub(p_to, p_from))
 
 
 def point_dist(p_from: Value, p_to: Value) -> float:
-    """Distance of the positions, m."""
+    """Return the distance of the positions, m."""
     return math.dist(pose(p_from, "p_from")[:3], pose(p_to, "p_to")[:3])
 
 
 def interpolate_pose(p_from: Value, p_to: Value, alpha: Value) -> Pose:
-    """From `p_from` at 0 to `p_to` at 1, straight and on the shortest rotation; beyond, on the same line."""
+    """Interpolate from `p_from` at 0 to `p_to` at 1, straight and on the shortest rotation; extrapolate beyond."""
     start, end, share = pose(p_from, "p_from"), pose(p_to, "p_to"), number(alpha, "alpha")
     rotation = rotation_of(*start[3:])
     x, y, z = rotvec_of(multiply(transpose(rotation), rotation_of(*end[3:])))
@@ -68,7 +68,7 @@ def interpolate_pose(p_from: Value, p_to: Value, alpha: Value) -> Pose:
 
 
 def wrench_trans(T_from_to: Value, w_from: Value) -> list[float]:  # noqa: N803  # the manual's name
-    """The wrench `w_from`, force before torque, seen from the pose `T_from_to`: turned, its torque about that point."""
+    """Return the wrench `w_from`, force before torque, in the pose `T_from_to`: rotated, torque about that point."""
     to = pose(T_from_to, "T_from_to")
     wrench = vector(w_from, 6, "w_from")
     rotation = transpose(rotation_of(*to[3:]))
@@ -77,13 +77,13 @@ def wrench_trans(T_from_to: Value, w_from: Value) -> list[float]:  # noqa: N803 
 
 
 def rotvec2rpy(rotation_vector: Value) -> list[float]:
-    """Roll, pitch and yaw, rad, of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return roll, pitch and yaw, rad, of R = Rz(yaw) Ry(pitch) Rx(roll)."""
     xx, _, _, yx, _, _, zx, zy, zz = rotation_of(*vector(rotation_vector, 3, "rotation_vector"))
     return [math.atan2(zy, zz), math.asin(min(1.0, max(-1.0, -zx))), math.atan2(yx, xx)]
 
 
 def rpy2rotvec(rpy_vector: Value) -> list[float]:
-    """Rotation vector, rad, of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return the rotation vector, rad, of R = Rz(yaw) Ry(pitch) Rx(roll)."""
     roll, pitch, yaw = vector(rpy_vector, 3, "rpy_vector")
     turned = multiply(rotation_of(0.0, 0.0, yaw), multiply(rotation_of(0.0, pitch, 0.0), rotation_of(roll, 0.0, 0.0)))
     return list(rotvec_of(turned))
@@ -104,4 +104,4 @@ POSES: Final = {
         wrench_trans,
     )
 }
-"""By the names that scripts call."""
+"""Builtins by script name."""

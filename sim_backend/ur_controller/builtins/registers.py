@@ -1,21 +1,19 @@
 """Script builtins for the general-purpose registers and the watchdog over RTDE's input packages."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.inputs import Action
 from sim_backend.ur_controller.script import Builtin, ScriptRuntimeError
 from sim_backend.ur_controller.script.values import LARGEST_INT, LEAST_INT, Value, integer, number, text, truth
 from wire.rtde.fields import INPUTS
 
-if TYPE_CHECKING:
-    from sim_backend.ur_controller.controller import Controller
-
 _ACTIONS: dict[str, Action] = {"ignore": "ignore", "pause": "pause", "stop": "stop"}
 
 
-def register_builtins(controller: "Controller") -> dict[str, Builtin]:
-    """Builtins on the registers and watchdogs of `controller`."""
+def register_builtins(controller: Controller) -> dict[str, Builtin]:
+    """Return the builtins for the registers and watchdogs of `controller`."""
     inputs, outputs = controller.inputs.registers, controller.output_registers
     input_ints, input_doubles, input_bits = inputs.ints, inputs.doubles, inputs.bits
     output_ints, output_doubles, output_bits = outputs.ints, outputs.doubles, outputs.bits
@@ -53,7 +51,7 @@ def register_builtins(controller: "Controller") -> dict[str, Builtin]:
     def rtde_set_watchdog(variable_name: Value, min_frequency: Value, action: Value = "pause") -> None:
         name, what = text(variable_name, "variable_name"), text(action, "action").lower()
         if name not in INPUTS:
-            raise ScriptRuntimeError(f"rtde_set_watchdog: {name!r} is no input variable of RTDE")
+            raise ScriptRuntimeError(f"rtde_set_watchdog: {name!r} is not an input variable of RTDE")
         if what not in _ACTIONS:
             raise ScriptRuntimeError(f"rtde_set_watchdog: action must be ignore, pause or stop, not {what!r}")
         controller.inputs.watch(name, number(min_frequency, "min_frequency"), _ACTIONS[what])

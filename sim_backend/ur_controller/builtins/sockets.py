@@ -13,19 +13,19 @@ from sim_backend.ur_controller.sockets import Sockets
 from wire.records import TICK_S
 
 MOST_NUMBERS = 30
-"""Largest count that one read may ask for, as in the manual."""
+"""Largest number of values in one read, as in the manual."""
 
 _DEFAULT_NAME = "socket_0"
 _NUMBERS = re.compile(rb"\(([^()]*)\)")
 
 
 def socket_builtins(sockets: Sockets) -> dict[str, Builtin]:
-    """Builtins that use `sockets`."""
+    """Return the builtins for `sockets`."""
 
     def wait_for(
         name: Value, timeout: Value, whole: Callable[[bytearray], int | None]
     ) -> Generator[None, None, bytes | None]:
-        """Wait until `whole` says how many bytes of the buffer make one message; None when the time is over."""
+        """Wait until `whole` returns the size of a message in the buffer, and take it; None after the time-out."""
         connection = sockets.get(text(name, "socket_name"))
         ticks = number(timeout, "timeout") / TICK_S
         waited = 0
@@ -151,7 +151,7 @@ def socket_builtins(sockets: Sockets) -> dict[str, Builtin]:
 
 
 def _bytes(value: Value) -> bytes:
-    """A string, or a number as a string, as bytes."""
+    """Encode a string, or a number as a string."""
     return (str(value) if is_number(value) else text(value, "str")).encode()
 
 
@@ -164,7 +164,9 @@ def _escaped(data: bytes) -> bytes:
 
 
 def _counted(items: list[Any], count: int) -> list[Any]:
-    """What a read returns: how many came, and as many; on a time-out 0 and nothing that means anything."""
+    """Return the result of a read: the number of items and the items; on a time-out 0 and as many zeros as
+    asked for.
+    """
     return [len(items), *items] if items else [0, *[0] * count]
 
 

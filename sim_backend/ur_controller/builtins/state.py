@@ -1,10 +1,11 @@
-"""Script builtins for what the robot measures, what it is told to carry, and what it tells people."""
+"""Script builtins for the robot's measurements, its configured tool and payload, and its messages to people."""
 
 import math
 from collections.abc import Callable, Generator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sim_backend.ur_controller.builtins.strings import text_of
+from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Popup, Text
 from sim_backend.ur_controller.safety import ASKED_BY_PROGRAM
 from sim_backend.ur_controller.script import Builtin, Pose, ScriptRuntimeError, Struct
@@ -21,17 +22,14 @@ from sim_backend.ur_controller.script.values import (
 )
 from wire.records import TICK_S
 
-if TYPE_CHECKING:
-    from sim_backend.ur_controller.controller import Controller
-
 _KEPT: list[float] = []
-"""Default of a vector that stays as it is."""
+"""Default of a vector; it keeps the present value."""
 _CONFIGURING_COST = 150
-"""Operations that a change of TCP or payload counts for beyond those of any call."""
+"""Operations charged for a change of TCP or payload, in addition to those of any call."""
 
 
-def state_builtins(controller: "Controller") -> dict[str, Builtin]:
-    """Builtins on the state and the configuration of `controller`."""
+def state_builtins(controller: Controller) -> dict[str, Builtin]:
+    """Return the builtins for the state and the configuration of `controller`."""
     plant = controller.plant
 
     def carry(kg: float, cog: Sequence[float], inertia: Sequence[float] | None = None) -> None:

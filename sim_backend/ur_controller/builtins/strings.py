@@ -1,6 +1,6 @@
 """URScript's strings. UR's script manual, "Module internals".
 
-Positions and lengths count bytes, as the manual has it, those of UTF-8.
+Positions and lengths count bytes of UTF-8, as in the manual.
 """
 
 import re
@@ -19,7 +19,7 @@ from sim_backend.ur_controller.script.values import (
 )
 
 _QUOTED: Final = 40
-"""Characters of a string that an error's text quotes."""
+"""Characters of a string that an error text quotes."""
 _NUMBER: Final = re.compile(
     r"\s*(?P<hexadecimal>[+-]?0[xX][0-9A-Fa-f]+)|"
     r"\s*(?P<decimal>[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?)|"
@@ -29,10 +29,10 @@ _NUMBER: Final = re.compile(
 
 
 def text_of(value: Value) -> str:
-    """A value as `to_str`, `str_cat` and `textmsg` write it: floats with 6 decimals less trailing zeros.
+    """Write a value as `to_str`, `str_cat` and `textmsg` do: floats with 6 decimals less trailing zeros.
 
     Raises:
-        ScriptRuntimeError: It is a struct, no value at all, or longer than a string may be.
+        ScriptRuntimeError: the value is a struct, None, or longer than a string may be.
     """
     if isinstance(value, str):
         return value
@@ -48,7 +48,7 @@ def str_cat(op1: Value, op2: Value) -> str:
 
 
 def str_at(src: Value, index: Value) -> str:
-    """The character whose byte is at `index`."""
+    """Return the character whose byte is at `index`."""
     data, position = text(src, "src").encode(), integer(index, "index")
     if not 0 <= position < len(data):
         raise ScriptRuntimeError(f"Index {position} is out of range: the string has {len(data)} bytes")
@@ -60,7 +60,7 @@ def str_empty(str_: Value) -> bool:
 
 
 def str_find(src: Value, target: Value, start_from: Value = 0) -> int:
-    """Position of the first `target` at or behind `start_from`, -1 if there is none."""
+    """Return the position of the first `target` at or after `start_from`, -1 if there is none."""
     data, start = text(src, "src").encode(), integer(start_from, "start_from")
     if not 0 <= start <= len(data):
         raise ScriptRuntimeError(f"Position {start} is out of range: the string has {len(data)} bytes")
@@ -72,7 +72,7 @@ def str_len(str_: Value) -> int:
 
 
 def str_sub(src: Value, index: Value, len_: Value = LARGEST_INT) -> str:
-    """At most `len` bytes from `index`."""
+    """Return at most `len` bytes from `index`."""
     data, start, length = text(src, "src").encode(), integer(index, "index"), integer(len_, "len")
     if not 0 <= start <= len(data) or length < 0:
         raise ScriptRuntimeError(f"{length} bytes from {start} are out of range: the string has {len(data)} bytes")
@@ -80,7 +80,7 @@ def str_sub(src: Value, index: Value, len_: Value = LARGEST_INT) -> str:
 
 
 def to_num(str_: Value) -> float:
-    """An int, or a float if there is a decimal point (or no finite number of 32 bits without one)."""
+    """Return an int, or a float if there is a decimal point or the value is not whole."""
     source = text(str_, "str")
     match = _NUMBER.fullmatch(source)
     if match is None:
@@ -111,7 +111,7 @@ def _written(value: Value) -> str:
         return written.rstrip("0").rstrip(".") if "." in written else written
     if is_list(value):
         BUDGET.take(len(value))
-        if len(value) > 512:  # with its separators beyond what a string can hold
+        if len(value) > 512:  # with its separators longer than a string may be
             return checked_text(" " * 2 * len(value))
         inner = ", ".join(f'"{checked_text(item)}"' if isinstance(item, str) else _written(item) for item in value)
         return f"p[{inner}]" if isinstance(value, Pose) else f"[{inner}]"
@@ -122,4 +122,4 @@ STRINGS: Final = {
     function.__name__: Builtin.of(function)
     for function in (str_at, str_cat, str_empty, str_find, str_len, str_sub, to_num, to_str)
 }
-"""By the names that scripts call."""
+"""Builtins by script name."""

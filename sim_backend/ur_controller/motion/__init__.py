@@ -1,4 +1,4 @@
-"""Motion of the emulated arm: movers, force mode, and the joint target that they make."""
+"""Motion of the emulated arm: movers, force mode, and the resulting joint target."""
 
 from .force import ForceTask
 from .motion import Motion

@@ -20,21 +20,21 @@ from .mover import Course, Timer, ToolMover, ToolState
 from .profile import Trapezoid
 
 TURN_RADIUS_M = 0.25
-"""A turn counts as the path of a point this far from the TCP; the manual gives tool speeds in m/s only."""
+"""Distance from the TCP of the point whose path represents a turn, m; the manual gives tool speeds only in m/s."""
 
 
 FASTEST = (3.0, 15.0)
-"""m/s and m/s² above which no path is travelled. An assumption: how fast an arm can go depends on its pose."""
+"""Limits of every path, m/s and m/s². An assumption: the speed that an arm can reach depends on its pose."""
 
 
 class PathMover(ToolMover):
-    """Along a path of the TCP by a trapezoid, from rest or out of the last such move's end.
+    """Follows a path of the TCP with a trapezoidal profile, from rest or from the end of the previous such move.
 
     Args:
-        profile: of the path's length.
-        blend_from: distance from which the script may go on.
-        end: position and rotation at which the path ends.
-        tail: the last move, whose remainder runs out while this one begins.
+        profile: profile over the path's length.
+        blend_from: distance from which the script may continue.
+        end: position and rotation at the end of the path.
+        tail: previous move, whose remainder runs out while this one begins.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class PathMover(ToolMover):
 
     @abstractmethod
     def at(self, share: float) -> tuple[Vector, Rotation, Vector, Vector]:
-        """At a share of the path, 0 … 1: position and rotation, and their rates of change per share, base axes."""
+        """Return position, rotation and their rates of change per share, base axes, at a share of the path, 0 … 1."""
 
     def step(self, fraction: float) -> ToolState:
         if self._tail is not None and self._tail.done:
@@ -72,21 +72,21 @@ class PathMover(ToolMover):
         )
 
     def rewind(self) -> None:
-        """Take the last step back."""
+        """Undo the last step."""
         self._course.rewind()
         if self._tail is not None:
             self._tail.rewind()
 
 
 class Line(PathMover):
-    """Straight, turning about one axis.
+    """Moves straight and turns about one axis.
 
     Args:
-        start: position and rotation of the TCP at rest; the last move's end when it is still on its way.
-        end: where to.
+        start: position and rotation of the TCP at rest; the end of the previous move while that one is still moving.
+        end: position and rotation at the end.
         limits: speed m/s, acceleration m/s², time s; a positive time takes precedence.
-        blend_m: distance from the end at which the script may go on.
-        tail: the last move, whose remainder runs out while this one begins.
+        blend_m: distance from the end at which the script may continue.
+        tail: previous move, whose remainder runs out while this one begins.
     """
 
     def __init__(
@@ -112,16 +112,16 @@ class Line(PathMover):
 
 
 class Arc(PathMover):
-    """Along a circle through a point on the way.
+    """Moves along a circle through an intermediate point.
 
     Args:
-        start: position and rotation of the TCP at rest; the last move's end when it is still on its way.
-        via: position on the way.
-        end: where to.
+        start: position and rotation of the TCP at rest; the end of the previous move while that one is still moving.
+        via: intermediate position.
+        end: position and rotation at the end.
         limits: speed m/s, acceleration m/s².
-        blend_m: distance along the arc from the end at which the script may go on.
-        fixed: keep the orientation relative to the arc; otherwise turn to the end's.
-        tail: the last move, whose remainder runs out while this one begins.
+        blend_m: distance along the arc from the end at which the script may continue.
+        fixed: keep the orientation relative to the arc; otherwise turn to the orientation of the end.
+        tail: previous move, whose remainder runs out while this one begins.
 
     Raises:
         ValueError: the three points lie on one line.
@@ -175,11 +175,11 @@ class Arc(PathMover):
 
 
 class SpeedL(ToolMover):
-    """Towards a tool speed by given accelerations, and on with it while the command holds.
+    """Accelerates to a tool speed and keeps it while the command holds.
 
     Args:
         start: position and rotation of the TCP.
-        twist: (6,) its present one, m/s and rad/s, base frame, at full speed of the slider.
+        twist: (6,) present twist, m/s and rad/s, base frame, at full speed of the slider.
     """
 
     def __init__(self, start: tuple[Vector, Rotation], twist: Sequence[float]) -> None:
@@ -189,13 +189,13 @@ class SpeedL(ToolMover):
         self.command([0.0] * 6, 1.0, 1.0, 0.0)
 
     def command(self, target: Sequence[float], acceleration: float, turning: float, time_s: float) -> None:
-        """Take another speed; without one after that the arm stops.
+        """Set another speed; without a further command the arm then stops.
 
         Args:
-            target: (6,) m/s and rad/s, base frame.
-            acceleration: m/s².
-            turning: rad/s².
-            time_s: for which the command holds, 0 until there is another one.
+            target: (6,) speed, m/s and rad/s, base frame.
+            acceleration: linear acceleration, m/s².
+            turning: angular acceleration, rad/s².
+            time_s: time for which the command holds, s; 0 until the next command.
         """
         self._target = list(target)
         self._acceleration, self._turning = acceleration, turning
@@ -221,13 +221,13 @@ class SpeedL(ToolMover):
 
 
 class StopL(SpeedL):
-    """To rest by decelerations, m/s² and rad/s², whatever the speed slider says.
+    """Decelerates to rest at m/s² and rad/s², independently of the speed slider.
 
     Args:
         start: position and rotation of the TCP.
-        twist: (6,) its present one, m/s and rad/s, base frame.
-        deceleration: m/s².
-        turning: rad/s².
+        twist: (6,) present twist, m/s and rad/s, base frame.
+        deceleration: linear deceleration, m/s².
+        turning: angular deceleration, rad/s².
     """
 
     def __init__(
@@ -241,11 +241,11 @@ class StopL(SpeedL):
 
 
 class ServoC(ToolMover):
-    """Straight to a pose that may change on the way, at constant speed, slowing down only to stop there.
+    """Moves straight to a pose that may change on the way, at constant speed, and slows down only to stop there.
 
     Args:
         start: position and rotation of the TCP.
-        twist: (6,) its present one, m/s and rad/s, base frame.
+        twist: (6,) present twist, m/s and rad/s, base frame.
     """
 
     def __init__(self, start: tuple[Vector, Rotation], twist: Sequence[float]) -> None:
@@ -256,7 +256,7 @@ class ServoC(ToolMover):
         self._blend_m = 0.0
 
     def command(self, end: tuple[Vector, Rotation], speed: float, acceleration: float, blend_m: float) -> None:
-        """Take another pose, with m/s, m/s² and the distance from it at which the script may go on."""
+        """Set another pose, with m/s, m/s² and the distance from the pose at which the script may continue."""
         self._end = end
         self._speed, self._acceleration, self._blend_m = speed, acceleration, blend_m
         self.ready = self.done = False
@@ -268,7 +268,7 @@ class ServoC(ToolMover):
         distance, angle = math.hypot(*away), math.hypot(*turn)
         length = max(distance, TURN_RADIUS_M * angle)
         step = self._acceleration * TICK_S
-        # the largest speed from which it still stops in time, whole ticks considered
+        # the largest speed from which it can still stop in time, in whole ticks
         braking = math.sqrt(0.25 * step * step + 2.0 * self._acceleration * length) - 0.5 * step
         speed = min(self._speed * fraction, braking, length / TICK_S)
         share = speed / length if length > 0.0 else 0.0
@@ -285,12 +285,12 @@ class ServoC(ToolMover):
 
 
 def standing(pose: Sequence[float]) -> tuple[Vector, Rotation]:
-    """Position and rotation of a pose."""
+    """Return position and rotation of a pose."""
     return (pose[0], pose[1], pose[2]), rotation_of(pose[3], pose[4], pose[5])
 
 
 def _approach(value: Sequence[float], target: Sequence[float], step: float) -> tuple[list[float], bool]:
-    """`value` (3,) moved towards `target` by at most `step`, and whether it is there."""
+    """Return `value` (3,) moved towards `target` by at most `step`, and True once it has arrived."""
     dx, dy, dz = target[0] - value[0], target[1] - value[1], target[2] - value[2]
     change = math.sqrt(dx * dx + dy * dy + dz * dz)
     if change <= step:

@@ -1,8 +1,8 @@
-"""Joint speeds and tool speeds of the UR3e into each other, in plain floats and closed form.
+"""Conversion between joint speeds and tool speeds of the UR3e, in plain floats and closed form.
 
-Joints 2, 3 and 4 turn about one direction and the last three nearly about one point, so the Jacobian need not be built,
-let alone inverted: the wrist's centre gives joint 1, the tool's orientation the wrist, and what remains is two links in
-a plane. Where a solution divides by zero is a singularity, one for each of the three steps.
+Joints 2, 3 and 4 turn about one direction and the last three nearly about one point, so the Jacobian is neither built
+nor inverted: the wrist's centre gives joint 1, the tool's orientation gives the wrist, and the rest is two links in a
+plane. A division by zero in a step is a singularity; each of the three steps has one.
 """
 
 import math
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from sim_backend.world.kinematics import UR3E
 
 SINGULAR = 0.01
-"""Margin, as `kinematics.singularity_margin`, below which a motion of the tool is not followed any more."""
+"""Margin, as `kinematics.singularity_margin`, below which tool motions are not followed."""
 
 _D1, _D4, _D5 = UR3E[0].d_m, UR3E[3].d_m, UR3E[4].d_m
 _A2, _A3 = UR3E[1].a_m, UR3E[2].a_m
@@ -21,16 +21,16 @@ _REACH = abs(_A2) + abs(_A3) + _D5
 def joint_rates(
     q: Sequence[float], point: Sequence[float], twist: Sequence[float], margin: float = SINGULAR
 ) -> list[float] | None:
-    """Joint speeds that give a point fixed to the flange a twist.
+    """Return the joint speeds that give a point fixed to the flange a twist.
 
     Args:
         q: six joint angles, rad.
-        point: (3,) its position now, base frame, m.
+        point: (3,) present position of the point, base frame, m.
         twist: (6,) linear velocity of the point and angular velocity, base frame.
-        margin: smallest distance from a singularity, 0 … 1.
+        margin: smallest allowed margin to a singularity, 0 … 1.
 
     Returns:
-        Six joint speeds, rad/s; None when the arm is nearer to a singularity.
+        Six joint speeds, rad/s; None if the arm is nearer to a singularity.
     """
     q1, q2, q3, q4, q5, _ = q
     vx, vy, vz, wx, wy, wz = twist
@@ -52,7 +52,7 @@ def joint_rates(
     vz += wx * from_y - wy * from_x
     rate1 = (c1 * vy - s1 * vx) / reach
     along = c1 * vx + s1 * vy - _D4 * rate1
-    # what the wrist and the sum of joints 2 to 4 turn; the last axis is c5 · across - s5 · (c234 along + s234 up)
+    # rotation by the wrist and the sum of joints 2 to 4; the last axis is c5 · across - s5 · (c234 along + s234 up)
     wz -= rate1
     w_along, w_across = c1 * wx + s1 * wy, s1 * wx - c1 * wy
     rate6 = -(c234 * w_along + s234 * wz) / s5
@@ -67,7 +67,7 @@ def joint_rates(
 
 
 def tool_twist(q: Sequence[float], point: Sequence[float], rates: Sequence[float]) -> list[float]:
-    """The inverse of `joint_rates`: the twist (6,) of a point fixed to the flange, base frame, for joint speeds."""
+    """Return the twist (6,) of a point fixed to the flange, base frame, for joint speeds; inverts `joint_rates`."""
     q1, q2, q3, q4, q5, _ = q
     rate1, rate2, rate3, rate4, rate5, rate6 = rates
     s1, c1 = math.sin(q1), math.cos(q1)

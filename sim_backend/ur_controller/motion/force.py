@@ -1,8 +1,8 @@
-"""Force mode: an admittance along the axes that a script selects, the program's own motion along the others.
+"""Force mode: an admittance along the axes that a script selects, and the program's own motion along the others.
 
-UR publishes the interface of force mode, not its law. This one is a mass that moves against damping:
-`mass · v̇ = gain · (wrench to apply + measured wrench) - damping · v`, so that it comes to rest where the tool presses
-with the wrench asked for, and drifts with a speed in proportion to it in free space.
+UR publishes the interface of force mode, not its law. The law here is a mass that moves against damping:
+`mass · v̇ = gain · (wrench to apply + measured wrench) - damping · v`. It comes to rest where the tool presses with the
+requested wrench; in free space it drifts with a speed proportional to that wrench.
 """
 
 import math
@@ -13,28 +13,28 @@ from sim_backend.ur_controller.geometry import Rotation, Vector, rotate, rotatio
 from wire.records import TICK_S
 
 DEFAULT_DAMPING, DEFAULT_GAIN = 0.005, 1.0
-"""What `force_mode_set_damping` and `force_mode_set_gain_scaling` set, before they do."""
+"""Values before a script calls `force_mode_set_damping` and `force_mode_set_gain_scaling`."""
 
 _MASS = (3.0, 3.0, 3.0, 0.1, 0.1, 0.1)
 _DAMPING = (300.0, 300.0, 300.0, 5.0, 5.0, 5.0)
-"""kg and N·s/m, kg·m² and N·m·s/rad at the default damping. The contact's stiffness over the damping is the loop's
-bandwidth, 17 rad/s at 1.7e4 N/m: far enough below what the sensor's delay and the joints' lag allow."""
+"""Damping at the default setting, kg and N·s/m, kg·m² and N·m·s/rad. The contact's stiffness over the damping is the
+loop's bandwidth: 17 rad/s at 1.7e4 N/m, well below the limit set by the sensor's delay and the joints' lag."""
 
 _AXES = range(6)
 
 
 @dataclass(frozen=True, slots=True)
 class ForceTask:
-    """What a script asks force mode for.
+    """A script's request to force mode.
 
     Attributes:
         frame: pose of the task frame, base frame.
         selection: (6,) axes of the task frame that are compliant.
-        wrench: (6,) to apply to the environment, task frame, N and N·m at the TCP.
+        wrench: (6,) wrench to apply to the environment, task frame, N and N·m at the TCP.
         kind: 1: the frame's y axis points from the TCP to the frame's origin; 2: the frame as given; 3: its x axis is
             the TCP's velocity in the frame's x-y plane.
-        limits: (6,) of a compliant axis the largest speed, m/s and rad/s; of another the largest deviation of the
-            measured TCP from where the program has it, m and rad; 0 there is no limit.
+        limits: (6,) for a compliant axis the largest speed, m/s and rad/s; for another axis the largest deviation of
+            the measured TCP from the program's TCP, m and rad; 0 means no limit.
     """
 
     frame: Sequence[float]
@@ -45,14 +45,14 @@ class ForceTask:
 
 
 class ForceMode:
-    """The admittance's state."""
+    """State of the admittance."""
 
     def __init__(self, task: ForceTask) -> None:
         self._speed = [0.0] * 6
         self.command(task)
 
     def command(self, task: ForceTask) -> None:
-        """Take another task while it moves."""
+        """Set another task, also during a motion."""
         x, y, z, *turn = task.frame
         self._origin: Vector = (x, y, z)
         self._given = rotation_of(*turn)
@@ -70,16 +70,17 @@ class ForceMode:
         gain: float,
         fraction: float,
     ) -> list[float]:
-        """Twist (6,) of the TCP for the next tick, base frame.
+        """Return the twist (6,) of the TCP for the next tick, base frame.
 
         Args:
-            program: (6,) twist that the program asks for, base frame.
-            point: the TCP, base frame.
+            program: (6,) twist commanded by the program, base frame.
+            point: position of the TCP, base frame.
             measured: (6,) wrench on the tool at the TCP, base axes.
             saturated: the sensor is at the end of its range, so the load is larger than measured.
-            damping: 0 … 1.
-            gain: 0 … 2.
-            fraction: of the full speed, 0 … 1; a paused program does not give way either.
+            damping: damping setting, 0 … 1.
+            gain: gain setting, 0 … 2.
+            fraction: fraction of the full speed, 0 … 1; at 0, while a program is paused, the arm does not give way
+                either.
         """
         task = self._task
         if task.kind == 1:
@@ -98,14 +99,14 @@ class ForceMode:
                 value = (_MASS[i] * speed[i] + push) / (_MASS[i] + drag * _DAMPING[i])
                 limit = task.limits[i] * fraction
                 if saturated and value * task.wrench[i] > 0.0:
-                    limit = 0.0  # what the arm applies may stay below what was asked for
+                    limit = 0.0  # the arm may apply less than requested
                 twist[i] = speed[i] = max(-limit, min(limit, value))
             else:
                 twist[i], speed[i] = asked[i], 0.0
         return [*rotate(axes, twist[:3]), *rotate(axes, twist[3:])]
 
     def exceeded(self, deviation: Sequence[float]) -> bool:
-        """Whether the measured TCP, off by `deviation` (6,) in base axes, is too far along an axis that is stiff."""
+        """Return True if the measured TCP, off by `deviation` (6,) in base axes, is too far along a stiff axis."""
         task, back = self._task, transpose(self._axes)
         off = (*rotate(back, deviation[:3]), *rotate(back, deviation[3:]))
         return any(
@@ -115,13 +116,15 @@ class ForceMode:
 
 
 def _facing(given: Rotation, point: Vector, origin: Vector) -> Rotation:
-    """`given` with its y axis turned from `point` towards `origin`, its z axis as near as can be to where it was."""
+    """Return `given` with its y axis turned from `point` towards `origin` and its z axis as near as possible
+    to before.
+    """
     away = (origin[0] - point[0], origin[1] - point[1], origin[2] - point[2])
     return _framed(away, (given[2], given[5], given[8]), given, along_x=False)
 
 
 def _along(given: Rotation, program: Sequence[float], last: Rotation) -> Rotation:
-    """`given` turned about its z axis until x is along the program's velocity; `last` while there is none."""
+    """Return `given` turned about its z axis until x is along the program's velocity; `last` without a velocity."""
     z = (given[2], given[5], given[8])
     out = program[0] * z[0] + program[1] * z[1] + program[2] * z[2]
     flat = (program[0] - out * z[0], program[1] - out * z[1], program[2] - out * z[2])
@@ -129,7 +132,7 @@ def _along(given: Rotation, program: Sequence[float], last: Rotation) -> Rotatio
 
 
 def _framed(direction: Vector, up: Vector, otherwise: Rotation, *, along_x: bool) -> Rotation:
-    """Axes with x, or y, along `direction` and z nearest to `up`; `otherwise` where that is undefined."""
+    """Return axes with x, or y, along `direction` and z nearest to `up`; `otherwise` if that is undefined."""
     length = math.hypot(*direction)
     if length < 1e-6:
         return otherwise

@@ -1,4 +1,4 @@
-"""Inverse kinematics of one arm: a few Newton steps where they lead there, the eight solutions otherwise."""
+"""Inverse kinematics of one arm: a few Newton steps where they converge, the eight solutions otherwise."""
 
 from collections.abc import Sequence
 
@@ -22,20 +22,20 @@ from .differential import joint_rates
 
 _STEPS = 4
 _NEAR_RAD = 0.1
-"""Farthest that Newton steps are trusted to stay on the branch that they begin on …"""
+"""Largest distance over which Newton steps are trusted to stay on their initial branch, rad, at margin `_CLEAR`."""
 _CLEAR = 0.3
-"""… which they are at this margin, as `kinematics.singularity_margin`: the next branch is twice as far away."""
+"""Margin, as `kinematics.singularity_margin`, at which `_NEAR_RAD` holds: the next branch is twice as far away."""
 _EXACT = 1e-11
 _RANGE: tuple[float, ...] = tuple(JOINT_RANGE_RAD.tolist())
 
 
 def inverse(position: Vector, rotation: Rotation, q_near: Sequence[float]) -> list[float]:
-    """Joint angles (6,) nearest to `q_near` (6,) that bring the flange to a position (m) and rotation, base frame.
+    """Return the joint angles (6,) nearest to `q_near` (6,) for the flange at a position (m) and rotation, base frame.
 
-    The same as `kinematics.inverse`; for a set-point that is near, which is what a servo loop asks for, much faster.
+    The result is that of `kinematics.inverse`; for a near set-point, as in a servo loop, it is much faster.
 
     Raises:
-        KinematicsError: no solution within the joint range.
+        KinematicsError: there is no solution within the joint range.
     """
     q = _newton(position, rotation, q_near)
     if q is None:
@@ -44,10 +44,10 @@ def inverse(position: Vector, rotation: Rotation, q_near: Sequence[float]) -> li
 
 
 def inverse_at(pose: Sequence[float], offset: Sequence[float], q_near: Sequence[float]) -> list[float]:
-    """Joint angles (6,) nearest to `q_near` (6,) that bring a TCP, by its pose in the flange's frame, to a pose.
+    """Return the joint angles (6,) nearest to `q_near` (6,) for a TCP, given in the flange's frame, at a pose.
 
     Raises:
-        KinematicsError: no solution within the joint range.
+        KinematicsError: there is no solution within the joint range.
     """
     flange = compose(pose, invert(offset))
     return inverse((flange[0], flange[1], flange[2]), rotation_of(*flange[3:]), q_near)

@@ -13,20 +13,22 @@ from .profile import Trapezoid
 _JOINTS = range(6)
 _SPEED: tuple[float, ...] = tuple(JOINT_SPEED_RAD_S.tolist())
 JOINT_RAD_S2 = 40.0
-"""Largest acceleration of a joint in a move: the 2292 °/s² at which the pendant's settings end."""
+"""Largest acceleration of a joint in a move, rad/s²: 2292 °/s², the end of the pendant's settings."""
 
 _HALVINGS = 12
 _SETTLED_RAD, _SETTLED_RAD_S = 1e-6, 1e-5
 
 
 def top_speed(path: Sequence[float]) -> float:
-    """Speed of the leading axis of a straight joint path (6,) at which some joint turns as fast as it can, rad/s."""
+    """Return the speed of the leading axis of a straight joint path (6,), rad/s, at which a joint reaches its limit."""
     length = max(abs(d) for d in path)
     return min((limit * length / abs(d) for limit, d in zip(_SPEED, path, strict=True) if d), default=math.inf)
 
 
 def blend_share(start: Sequence[float], target: Sequence[float], radius_m: float, plant: Plant) -> float:
-    """Share of a straight joint path (6,) at which the TCP comes within a radius of its end; 1 without a radius."""
+    """Return the share of a straight joint path (6,) at which the TCP comes within a radius of its end; 1
+    without one.
+    """
     if radius_m <= 0.0:
         return 1.0
     end = plant.tcp_pose_of(target)[:3]
@@ -39,14 +41,15 @@ def blend_share(start: Sequence[float], target: Sequence[float], radius_m: float
 
 
 class MoveJ(JointMover):
-    """Straight in joint space, by a trapezoid of the leading axis.
+    """Moves straight in joint space, with a trapezoidal profile of the leading axis.
 
     Args:
-        start: (6,) joint angles, rad, of the arm at rest; the last move's target when it is still on its way.
-        target: (6,) rad.
-        profile: of the leading axis.
-        blend_from: distance of the leading axis from which the script may go on.
-        tail: the last move, whose remainder runs out while this one begins.
+        start: (6,) joint angles, rad, of the arm at rest; the target of the previous move while that one is still
+            moving.
+        target: (6,) joint angles, rad.
+        profile: profile of the leading axis.
+        blend_from: distance of the leading axis from which the script may continue.
+        tail: previous move, whose remainder runs out while this one begins.
     """
 
     def __init__(
@@ -84,11 +87,11 @@ class MoveJ(JointMover):
 
 
 class SpeedJ(JointMover):
-    """Towards joint speeds by an acceleration of the leading axis, and on with them while the command holds.
+    """Accelerates to joint speeds, by the leading axis, and keeps them while the command holds.
 
     Args:
-        q: (6,) rad, where the arm is.
-        qd: (6,) rad/s, its present speeds, at full speed of the slider.
+        q: (6,) present joint angles, rad.
+        qd: (6,) present joint speeds, rad/s, at full speed of the slider.
     """
 
     def __init__(self, q: Sequence[float], qd: Sequence[float]) -> None:
@@ -97,12 +100,12 @@ class SpeedJ(JointMover):
         self.command([0.0] * 6, 1.0, 0.0)
 
     def command(self, target: Sequence[float], acceleration: float, time_s: float) -> None:
-        """Take another speed; without one after that the arm stops.
+        """Set another speed; without a further command the arm then stops.
 
         Args:
-            target: (6,) rad/s.
-            acceleration: rad/s².
-            time_s: for which the command holds, 0 until there is another one.
+            target: (6,) joint speeds, rad/s.
+            acceleration: acceleration of the leading axis, rad/s².
+            time_s: time for which the command holds, s; 0 until the next command.
         """
         self._target = [max(-limit, min(limit, v)) for limit, v in zip(_SPEED, target, strict=True)]
         self._acceleration = acceleration
@@ -130,12 +133,12 @@ class SpeedJ(JointMover):
 
 
 class StopJ(SpeedJ):
-    """To rest by a deceleration of the leading axis, rad/s², whatever the speed slider says.
+    """Decelerates to rest, rad/s² of the leading axis, independently of the speed slider.
 
     Args:
-        q: (6,) rad, where the arm is.
-        qd: (6,) rad/s, its present speeds.
-        deceleration: rad/s².
+        q: (6,) present joint angles, rad.
+        qd: (6,) present joint speeds, rad/s.
+        deceleration: deceleration of the leading axis, rad/s².
     """
 
     def __init__(self, q: Sequence[float], qd: Sequence[float], deceleration: float) -> None:
@@ -147,15 +150,15 @@ class StopJ(SpeedJ):
 
 
 class ServoJ(JointMover):
-    """Joint angles that follow a set-point that keeps changing.
+    """Follows a joint set-point that keeps changing.
 
     The manual describes a gain on the distance to the set-point and a look-ahead that projects the position forward
-    with the present speed: `q̈ = gain · (target - q - lookahead · q̇)`. Behind a steadily moving set-point it lags by
-    the look-ahead, which is what users measure on real arms.
+    with the present speed: `q̈ = gain · (target - q - lookahead · q̇)`. Behind a steadily moving set-point the arm lags
+    by the look-ahead, as users measure on real arms.
 
     Args:
-        q: (6,) rad, where the arm is.
-        qd: (6,) rad/s.
+        q: (6,) joint angles, rad.
+        qd: (6,) joint speeds, rad/s.
     """
 
     def __init__(self, q: Sequence[float], qd: Sequence[float]) -> None:
@@ -165,7 +168,7 @@ class ServoJ(JointMover):
         self._timer = Timer(0.0)
 
     def command(self, target: Sequence[float], time_s: float, lookahead_s: float, gain: float) -> None:
-        """Take another set-point (6,) rad, which the script waits for during `time_s`."""
+        """Set another set-point (6,) rad, for which the script waits during `time_s`."""
         self._target = list(target)
         self._gain, self._lookahead_s = gain, lookahead_s
         self._timer = Timer(max(time_s, TICK_S), self._timer)

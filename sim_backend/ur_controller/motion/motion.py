@@ -1,4 +1,4 @@
-"""Where the arm is told to be: the joint target of every tick, made by whichever mover a script has started."""
+"""Commanded motion of the arm: the joint target of every tick, made by the mover that a script has started."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -21,12 +21,12 @@ from .profile import Trapezoid
 from .target import CannotMove, JointTarget
 
 HOLD_RAD_S2 = 10.0
-"""Leading axis' deceleration of a motion that nobody commands any more."""
+"""Deceleration of the leading axis for a motion that is no longer commanded."""
 SLIDER_STEP = TICK_S / 0.1
-"""Largest change of the speed fraction per tick: the arm speeds up and slows down with the slider, without a jerk."""
+"""Largest change of the speed fraction per tick; the arm follows the slider without a jerk."""
 STEADY_TICKS = 50
 FREEDRIVE_SPEED = 0.25
-"""Largest speed by hand along an axis when others are locked, m/s and rad/s."""
+"""Largest speed by hand along an axis while others are locked, m/s and rad/s."""
 NEAR_SINGULARITY, TOO_NEAR_SINGULARITY = 0.2, 0.05
 """Margins, as `kinematics.singularity_margin`, at which the status of freedrive changes. An assumption."""
 
@@ -34,18 +34,18 @@ NEAR_SINGULARITY, TOO_NEAR_SINGULARITY = 0.2, 0.05
 class Motion:
     """The joint target of one arm.
 
-    One mover runs at a time, and force mode beside it. A mover that is started while another one moves takes over at
-    the present speed (`speedl`, `stopj`, …), or waits for rest where the manual wants rest (`movej`, `movel`, …).
+    One mover runs at a time, and force mode beside it. A mover that is started during another one takes over at the
+    present speed (`speedl`, `stopj`, …), or waits for rest where the manual requires rest (`movej`, `movel`, …).
 
     Args:
-        plant: the arm; its configured TCP is what tool motions move.
+        plant: the arm; tool motions move its configured TCP.
 
     Attributes:
-        speed_fraction: share of the full speed at which programs move now; follows what `advance` is given.
-        fault: why the arm cannot go on, or None: what the controller has to make a protective stop of.
-        owner: the thread that moves the arm; motion builtins keep it.
-        force_damping, force_gain: of force mode, 0 … 1 and 0 … 2.
-        memory: what was measured lately, for the detection of contacts.
+        speed_fraction: present fraction of the programs' full speed; follows the argument of `advance`.
+        fault: reason why the arm cannot continue, or None; the controller turns it into a protective stop.
+        owner: thread that moves the arm, maintained by the motion builtins.
+        force_damping, force_gain: settings of force mode, 0 … 1 and 0 … 2.
+        memory: recent measurements, for the detection of contacts.
     """
 
     def __init__(self, plant: Plant) -> None:
@@ -58,7 +58,7 @@ class Motion:
         self.freeze()
 
     def freeze(self) -> None:
-        """Take the measured joints as the target, at rest: after a power-off, a protective stop, a new lay-out."""
+        """Take the measured joints as the target, at rest: after a power-off, a protective stop, a new layout."""
         self._mover: Mover | None = None
         self._queued: Callable[[], Mover] | None = None
         self._force: ForceMode | None = None
@@ -72,45 +72,45 @@ class Motion:
         self._target.take_measured()
 
     def hold(self) -> None:
-        """Bring whatever moves to rest, as at the end of a program; force mode and freedrive end."""
+        """Bring any motion to rest, as at the end of a program; force mode and freedrive end."""
         self.end_force()
         self.end_freedrive()
         self.owner = None
         self.abandon()
 
     def abandon(self) -> None:
-        """Bring the running motion to rest, as when the thread that commands it is killed; force mode goes on."""
+        """Bring the running motion to rest, as when the thread that commands it is killed; force mode continues."""
         self._queued = None
         self._take(self._stop(HOLD_RAD_S2) if self.moving else None)
 
     @property
     def moving(self) -> bool:
-        """Whether the joint target moves."""
+        """The joint target moves."""
         return self._target.moving
 
     @property
     def q_target(self) -> FloatArray:
-        """(6,) rad; replaced, never changed in place, as are the next two."""
+        """(6,) joint angles, rad; replaced, never changed in place, like the next two."""
         return self._target.q_array
 
     @property
     def qd_target(self) -> FloatArray:
-        """(6,) rad/s."""
+        """(6,) joint speeds, rad/s."""
         return self._target.qd_array
 
     @property
     def qdd_target(self) -> FloatArray:
-        """(6,) rad/s²."""
+        """(6,) joint accelerations, rad/s²."""
         return self._target.qdd_array
 
     @property
     def ready(self) -> bool:
-        """Whether the script that started the last mover may go on."""
+        """The script that started the last mover may continue."""
         return self._mover is None or (self._queued is None and self._mover.ready)
 
     @property
     def is_steady(self) -> bool:
-        """Whether the arm has stood still for a while, in no mode in which it may give way."""
+        """The arm has stood still for a while, in no mode in which it may give way."""
         return self._rest_ticks >= STEADY_TICKS and bool((np.abs(self._plant.qd) < 2e-3).all())
 
     @property
@@ -122,15 +122,15 @@ class Motion:
         return self._freedrive
 
     def target_tcp_pose(self) -> list[float]:
-        """Pose of the configured TCP at the joint target."""
+        """Return the pose of the configured TCP at the joint target."""
         return self._target.pose()
 
     def target_tcp_speed(self) -> list[float]:
-        """Twist (6,) of the configured TCP at the joint target, base axes."""
+        """Return the twist (6,) of the configured TCP at the joint target, base axes."""
         return self._target.twist()
 
     def waypoint(self) -> list[float]:
-        """Pose at which the present move ends; where the arm is to be when there is no such move."""
+        """Return the pose at which the present move ends; without a move, the commanded pose."""
         mover = self._mover
         if isinstance(mover, MoveJ):
             return self._plant.tcp_pose_of(mover.target)
@@ -140,10 +140,10 @@ class Motion:
         return self.target_tcp_pose()
 
     def advance(self, speed_fraction: float = 1.0) -> None:
-        """Make the joint target of the next tick.
+        """Compute the joint target of the next tick.
 
         Args:
-            speed_fraction: of the full speed, 0 … 1: the speed slider; 0 while a program is paused.
+            speed_fraction: fraction of the full speed, 0 … 1: the speed slider; 0 while a program is paused.
         """
         change = speed_fraction - self.speed_fraction
         if abs(change) > SLIDER_STEP:
@@ -163,11 +163,11 @@ class Motion:
                 if self._queued is not None:
                     queued, self._queued = self._queued, None
                     self._mover = queued()
-        except (CannotMove, ValueError) as error:  # ValueError: from where it has come to rest there is no such arc
+        except (CannotMove, ValueError) as error:  # ValueError: no such arc exists from the point of rest
             self._fail(str(error))
 
     def movej(self, target: Sequence[float], a: float, v: float, t: float, r: float) -> None:
-        """Start a straight move in joint space to `target` (6,) rad: rad/s², rad/s, s, blend radius m."""
+        """Start a straight move in joint space to `target` (6,) rad; a rad/s², v rad/s, t s, blend radius r m."""
 
         def build(tail: MoveJ | None) -> MoveJ:
             start = self._target.q if tail is None else tail.target
@@ -180,7 +180,7 @@ class Motion:
         self._begin(build, mover if isinstance(mover, MoveJ) and mover.ready else None)
 
     def movel(self, target: Sequence[float], a: float, v: float, t: float, r: float) -> None:
-        """Start a straight move of the TCP to the pose `target`: m/s², m/s, s, blend radius m."""
+        """Start a straight move of the TCP to the pose `target`; a m/s², v m/s, t s, blend radius r m."""
         end = standing(target)
         if not self.reachable(target):
             self._fail("the target of a linear move cannot be reached")
@@ -212,7 +212,7 @@ class Motion:
         self._begin(build, mover if isinstance(mover, PathMover) and mover.ready else None)
 
     def speedj(self, qd: Sequence[float], a: float, t: float) -> None:
-        """Turn the joints at `qd` (6,) rad/s for `t` s, or until there is another command where `t` is 0."""
+        """Turn the joints at `qd` (6,) rad/s for `t` s, or until the next command if `t` is 0."""
         self._queued = None
         mover = self._mover
         if type(mover) is not SpeedJ:
@@ -221,7 +221,7 @@ class Motion:
         mover.command(qd, a, t)
 
     def speedl(self, twist: Sequence[float], a: float, t: float, a_rot: float) -> None:
-        """Move the TCP at `twist` (6,), base axes, for `t` s, or until there is another command where `t` is 0."""
+        """Move the TCP at `twist` (6,), base axes, for `t` s, or until the next command if `t` is 0."""
         self._queued = None
         mover = self._mover
         if type(mover) is not SpeedL or self._target.retooled:
@@ -230,12 +230,12 @@ class Motion:
         mover.command(twist, a, a_rot, t)
 
     def stopj(self, a: float) -> None:
-        """Bring the joints to rest, rad/s² of the leading axis."""
+        """Bring the joints to rest; `a` is the deceleration of the leading axis, rad/s²."""
         self._queued = None
         self._take(self._stop(a) if self.moving else None)
 
     def stopl(self, a: float, a_rot: float) -> None:
-        """Bring the TCP to rest, m/s² and rad/s²."""
+        """Bring the TCP to rest at `a` m/s² and `a_rot` rad/s²."""
         self._queued = None
         if not self.moving:
             self._take(None)
@@ -252,7 +252,7 @@ class Motion:
         mover.command(target, t, lookahead_s, gain)
 
     def servoc(self, target: Sequence[float], a: float, v: float, r: float) -> None:
-        """Go to the pose `target` at constant speed, from the present motion; see `cartesian.ServoC`."""
+        """Move to the pose `target` at constant speed, from the present motion; see `cartesian.ServoC`."""
         self._queued = None
         mover = self._mover
         if not isinstance(mover, ServoC) or self._target.retooled:
@@ -261,7 +261,7 @@ class Motion:
         mover.command(standing(target), v, a, r)
 
     def force(self, task: ForceTask) -> None:
-        """Be in force mode."""
+        """Start force mode, or change its task."""
         self.end_freedrive()
         if self._force is None:
             self._force = ForceMode(task)
@@ -270,14 +270,16 @@ class Motion:
             self._force.command(task)
 
     def end_force(self) -> None:
-        """Leave force mode; the arm stays where the force has taken it, and a move that is on its way goes on."""
+        """Leave force mode; the arm stays where the force has moved it, and a move under way continues."""
         if self._force is not None:
             self._force = None
             if self._mover is None:
                 self.abandon()
 
     def freedrive(self, axes: Sequence[bool] = (True,) * 6, frame: Sequence[float] = (0.0,) * 6) -> None:
-        """Let the arm be moved by hand, along `axes` (6,) of the pose `frame` only when not all of them are free."""
+        """Let the arm be moved by hand; if not all `axes` (6,) are free, only along the free axes of the pose
+        `frame`.
+        """
         self.end_force()
         self._mover = self._queued = None
         self._freedrive = True
@@ -287,18 +289,18 @@ class Motion:
             self._displaced = True
 
     def end_freedrive(self) -> None:
-        """Hold the arm where the hand has left it."""
+        """Hold the arm where the hand left it."""
         if self._freedrive:
             self._freedrive = False
             self.end_force()
 
     def freedrive_status(self) -> int:
-        """How well the arm can be moved by hand where it is: 0 well, 1 near a singularity, 2 too near."""
+        """Rate the present pose for motion by hand: 0 good, 1 near a singularity, 2 too near."""
         margin = float(singularity_margin(self._target.q).min())
         return (margin < NEAR_SINGULARITY) + (margin < TOO_NEAR_SINGULARITY)
 
     def reachable(self, pose: Sequence[float]) -> bool:
-        """Whether the configured TCP can be brought to a pose."""
+        """Return True if the configured TCP can reach a pose."""
         try:
             self.joints_at(pose)
         except KinematicsError:
@@ -306,7 +308,7 @@ class Motion:
         return True
 
     def joints_at(self, pose: Sequence[float]) -> list[float]:
-        """Joint angles (6,) nearest to the target that bring the configured TCP to a pose.
+        """Return the joint angles (6,) nearest to the target that bring the configured TCP to a pose.
 
         Raises:
             KinematicsError: there are none.
@@ -314,12 +316,12 @@ class Motion:
         return inverse_at(pose, self._plant.tcp_offset, self._target.q)
 
     def _take(self, mover: Mover | None) -> None:
-        """Let `mover` go on from the present target and speed."""
+        """Continue with `mover` from the present target and speed."""
         self._mover = mover
         self._displaced = self._force is not None
 
     def _begin(self, build: "Callable[..., Mover]", tail: Mover | None) -> None:
-        """Start a move out of the end of `tail`, or from rest: what moves otherwise is brought to its end first."""
+        """Start a move from the end of `tail`, or from rest; any other motion is brought to its end first."""
         if tail is not None and not self._displaced:
             self._queued = None
             self._mover = build(tail)
@@ -338,7 +340,7 @@ class Motion:
         return StopJ(self._target.q, self._target.qd, a)
 
     def _unscaled(self, speeds: Sequence[float]) -> list[float]:
-        """What present speeds (6,) would be at full speed of the slider."""
+        """Return present speeds (6,) scaled to full speed of the slider."""
         fraction = self.speed_fraction or 1.0
         return [v / fraction for v in speeds]
 
@@ -355,7 +357,7 @@ class Motion:
         elif isinstance(mover, PathMover):
             position, rotation, twist = mover.step(self.speed_fraction)
             share = target.share_possible(position, rotation)
-            if share < 1.0:  # a path is slowed down to what the joints can do, a speed is not
+            if share < 1.0:  # a path is slowed down to the joints' limits, a speed is not
                 mover.rewind()
                 position, rotation, twist = mover.step(share * self.speed_fraction)
             target.set_tool(position, rotation, twist)
@@ -363,7 +365,7 @@ class Motion:
             target.set_tool(*mover.step(self.speed_fraction))
 
     def _displace(self, mover: Mover | None) -> None:
-        """One tick by speeds: of the program and, in force mode, of what the force makes of them."""
+        """Advance one tick by speeds: the program's and, in force mode, their modification by the force."""
         target = self._target
         if isinstance(mover, JointMover):
             twist = target.twist_of(*mover.step(self.speed_fraction))

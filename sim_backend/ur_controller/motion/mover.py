@@ -1,4 +1,4 @@
-"""What every mover is: something that says, tick by tick, where the arm is to be."""
+"""Interface of all movers: objects that return, tick by tick, the commanded position of the arm."""
 
 from abc import ABC, abstractmethod
 
@@ -18,8 +18,8 @@ class Mover:
     """One motion of the arm.
 
     Attributes:
-        ready: The script that started it may go on; the motion itself may last longer.
-        done: The arm has arrived or stands still.
+        ready: the script that started it may continue; the motion itself may last longer.
+        done: the arm has arrived or stands still.
     """
 
     ready = False
@@ -31,7 +31,7 @@ class JointMover(Mover, ABC):
 
     @abstractmethod
     def step(self, fraction: float) -> tuple[list[float], list[float]]:
-        """Joint angles and speeds one tick on; `fraction` of the full speed, 0 … 1."""
+        """Return joint angles and speeds one tick later; `fraction` of the full speed, 0 … 1."""
 
 
 class ToolMover(Mover, ABC):
@@ -39,18 +39,18 @@ class ToolMover(Mover, ABC):
 
     @abstractmethod
     def step(self, fraction: float) -> ToolState:
-        """The TCP one tick on; `fraction` of the full speed, 0 … 1."""
+        """Return the state of the TCP one tick later; `fraction` of the full speed, 0 … 1."""
 
 
 class Timer:
-    """Counts the ticks for which a speed or servo command holds; 0 s holds for ever.
+    """Counts the ticks for which a speed or servo command holds; 0 s holds without end.
 
-    The speed slider stretches this time as it does that of moves: at half the speed a step of 2 ms lasts two ticks.
-    What a tick takes beyond a command's time is counted to the next command, so that none of it is lost.
+    The speed slider stretches this time like that of moves: at half speed a step of 2 ms lasts two ticks. The excess of
+    a tick over a command's time is charged to the next command, so no time is lost.
 
     Args:
-        time_s: for which the command holds.
-        last: timer of the command before, when this one follows it.
+        time_s: time for which the command holds, s.
+        last: timer of the previous command, if this one follows it.
     """
 
     __slots__ = ("_left", "_starved", "endless")
@@ -63,26 +63,26 @@ class Timer:
             self._left += last._left
 
     def tick(self, fraction: float) -> bool:
-        """Use up one tick at a fraction of the full speed; whether the command still held in it."""
+        """Use one tick at a fraction of the full speed; return True if the command still held in it."""
         self._starved = self.elapsed
         self._left -= fraction
         return not self._starved
 
     @property
     def elapsed(self) -> bool:
-        """Whether its time is over."""
+        """The time is over."""
         return self._left <= _ROUNDING_TICKS and not self.endless
 
 
 class Course:
-    """Progress along a path; a slower speed slider stretches time, so the path stays the same.
+    """Progress along a path; a lower speed slider stretches time, so the path stays the same.
 
-    Where a script asks for a blend, the next move begins as this one brakes: the one's ramp down and the other's ramp
-    up add to a speed that is never above either's.
+    In a blend the next move begins while this one brakes: the ramp down of one and the ramp up of the other add to a
+    speed that never exceeds either's.
 
     Args:
         profile: distance over time.
-        blend_from: distance at which the script may go on, to blend into the next move.
+        blend_from: distance at which the script may continue, to blend into the next move.
     """
 
     __slots__ = ("_before_s", "_blend_from", "_profile", "_time_s", "arrived", "blending")
@@ -95,7 +95,7 @@ class Course:
         self.blending = False
 
     def step(self, fraction: float) -> tuple[float, float]:
-        """Share of the path travelled, 0 … 1, and its rate of change per second, one tick on."""
+        """Return the share of the path travelled one tick later, 0 … 1, and its rate of change per second."""
         self._before_s = self._time_s
         self._time_s += TICK_S * fraction
         profile = self._profile
@@ -108,5 +108,5 @@ class Course:
         return distance / profile.length, speed * fraction / profile.length
 
     def rewind(self) -> None:
-        """Take the last step back."""
+        """Undo the last step."""
         self._time_s = self._before_s

@@ -1,26 +1,26 @@
-"""The trapezoid along which every move goes: accelerate, cruise, brake."""
+"""Trapezoidal profile of every move: accelerate, cruise, brake."""
 
 import math
 
 _RAMP_SHARE = 0.25
-"""Share of a move's time that each of its ramps takes when the script gives the time and nothing else."""
+"""Share of a move's time that each ramp takes if the script gives only the time."""
 _NOWHERE = 1e-9
-"""A path shorter than this, m or rad, is no path; the move is over at once."""
+"""Length below which a path, m or rad, counts as none; such a move is over at once."""
 
 
 class Trapezoid:
     """Distance along a path as a function of time.
 
     Args:
-        length: of the path, m or rad.
-        speed: at which it is travelled if it is long enough.
-        acceleration: of both ramps.
-        duration_s: when positive, takes precedence over speed and acceleration.
-        fastest: speed and acceleration that are never exceeded, whatever is asked for.
+        length: length of the path, m or rad.
+        speed: cruising speed, if the path is long enough to reach it.
+        acceleration: acceleration of both ramps.
+        duration_s: if positive, overrides speed and acceleration.
+        fastest: speed and acceleration that are never exceeded, whatever is requested.
 
     Attributes:
-        length: as given.
-        duration_s: of the whole move.
+        length: length of the path.
+        duration_s: duration of the whole move.
         braking_from: distance at which the last ramp begins.
     """
 
@@ -48,7 +48,7 @@ class Trapezoid:
         self.braking_from = length - 0.5 * self._speed * self._ramp_s
 
     def at(self, time_s: float) -> tuple[float, float]:
-        """Distance travelled and speed, `time_s` after the start."""
+        """Return distance travelled and speed `time_s` after the start."""
         if time_s < self._ramp_s:
             return 0.5 * self._acceleration * time_s * time_s, self._acceleration * time_s
         left_s = self.duration_s - time_s
@@ -60,7 +60,7 @@ class Trapezoid:
 
 
 def _in_time(length: float, duration_s: float, top_speed: float, top_acceleration: float) -> tuple[float, float]:
-    """Speed and acceleration of a move that lasts for a time; beyond the top ones where it cannot be done in time."""
+    """Return speed and acceleration for a given duration; they exceed the top ones if it cannot be met otherwise."""
     speed = length / ((1.0 - _RAMP_SHARE) * duration_s)
     if speed > top_speed:
         speed = top_speed

@@ -1,4 +1,4 @@
-"""The joint target of one arm, and the TCP that belongs to it."""
+"""Joint target of one arm, and the TCP at that target."""
 
 import math
 from collections.abc import Sequence
@@ -32,21 +32,21 @@ _REST = np.zeros(6)
 _REST.setflags(write=False)
 
 
-class CannotMove(Exception):  # noqa: N818 - what the arm cannot do is no error of a program
-    """The arm cannot go where it is to go: joint range, joint speed or a singularity; the text says which."""
+class CannotMove(Exception):  # noqa: N818 - the limits of the arm are no error of a program
+    """The arm cannot reach its target because of joint range, joint speed or a singularity; the text says which."""
 
 
 class JointTarget:
-    """Where the joints are to be at the end of the tick.
+    """Commanded joints at the end of the tick.
 
-    A tool motion names positions of the TCP. They are kept beside the joints, which follow them by one Newton step a
-    tick: so a twist integrates exactly, and what the step leaves is made good by the next.
+    A tool motion gives positions of the TCP. They are kept beside the joints, which follow them by one Newton step per
+    tick: a twist integrates exactly, and the next step corrects the remainder of the last one.
 
     Args:
-        plant: the arm; its configured TCP is the one that is meant.
+        plant: the arm, whose configured TCP is used.
 
     Attributes:
-        q, qd: (6,) rad, rad/s, as plain floats; replaced, never changed in place.
+        q, qd: (6,) rad and rad/s, as plain floats; replaced, never changed in place.
         q_array, qd_array, qdd_array: the same as arrays, and rad/s²; replaced, never changed in place.
     """
 
@@ -55,7 +55,7 @@ class JointTarget:
         self.take_measured()
 
     def take_measured(self) -> None:
-        """The target is where the arm is, at rest."""
+        """Set the target to the measured joints, at rest."""
         self.q: list[float] = self._plant.q.tolist()
         self.qd = [0.0] * 6
         self.q_array: FloatArray = np.array(self.q)
@@ -65,16 +65,16 @@ class JointTarget:
 
     @property
     def moving(self) -> bool:
-        """Whether any joint is to move, by more than a tool motion at rest does from rounding."""
+        """A joint moves by more than the rounding of a tool motion at rest."""
         return any(abs(v) > _ROUNDING_RAD_S for v in self.qd)
 
     @property
     def retooled(self) -> bool:
-        """Whether another TCP has been configured since the last tool motion."""
+        """Another TCP has been configured since the last tool motion."""
         return self._offset is not self._plant.tcp_offset
 
     def tool(self) -> tuple[Vector, Rotation]:
-        """Position and rotation of the TCP at the target, base frame."""
+        """Return position and rotation of the TCP at the target, base frame."""
         if self.retooled:
             self._take_tool()
         if self._tool is None:
@@ -82,28 +82,28 @@ class JointTarget:
         return self._tool
 
     def tool_at(self, q: Sequence[float]) -> tuple[Vector, Rotation]:
-        """Position and rotation of the TCP at joint angles (6,)."""
+        """Return position and rotation of the TCP at joint angles (6,)."""
         (x, y, z), rotation = flange_of(q)
         dx, dy, dz = rotate(rotation, self._offset[:3])
         return (x + dx, y + dy, z + dz), multiply(rotation, self._tool_rotation)
 
     def pose(self) -> list[float]:
-        """Pose of the TCP at the target."""
+        """Return the pose of the TCP at the target."""
         position, rotation = self.tool()
         return [*position, *rotvec_of(rotation)]
 
     def twist(self) -> list[float]:
-        """Twist (6,) of the TCP at the target, base axes."""
+        """Return the twist (6,) of the TCP at the target, base axes."""
         if self._twist is not None and not self.retooled:
             return list(self._twist)
         return tool_twist(self.q, self.tool()[0], self.qd) if self.moving else [0.0] * 6
 
     def twist_of(self, q: Sequence[float], qd: Sequence[float]) -> list[float]:
-        """Twist (6,) of the TCP at joint angles and speeds (6,)."""
+        """Return the twist (6,) of the TCP at joint angles and speeds (6,)."""
         return tool_twist(q, self.tool_at(q)[0], qd)
 
     def rest(self) -> None:
-        """The joints stay where they are."""
+        """Keep the joints where they are."""
         if any(self.qd):
             self._twist = None
             self._set(self.q, [0.0] * 6)
@@ -111,7 +111,7 @@ class JointTarget:
             self.qdd_array = _REST
 
     def set_joints(self, q: list[float], qd: list[float]) -> None:
-        """Go to joint angles (6,) with speeds (6,).
+        """Set joint angles (6,) and speeds (6,).
 
         Raises:
             CannotMove: a joint would leave its range.
@@ -120,10 +120,10 @@ class JointTarget:
         self._set(q, qd)
 
     def set_tool(self, position: Vector, rotation: Rotation, twist: list[float]) -> None:
-        """Go to a position and rotation of the TCP, with a twist (6,), base frame.
+        """Set a position and rotation of the TCP, with a twist (6,), base frame.
 
         Raises:
-            CannotMove: the arm is too near to a singularity, or a joint would have to be too fast or leave its range.
+            CannotMove: the arm is too near to a singularity, or a joint would exceed its speed or leave its range.
         """
         rates = self._rates_to(position, rotation)
         for i in _JOINTS:
@@ -134,7 +134,8 @@ class JointTarget:
         self._twist = twist
 
     def share_possible(self, position: Vector, rotation: Rotation) -> float:
-        """Share, up to 1, of the way to a position and rotation of the TCP that the joints can go in one tick.
+        """Return the share, up to 1, of the way to a position and rotation of the TCP that the joints can go in one
+        tick.
 
         Raises:
             CannotMove: the arm is too near to a singularity.
@@ -148,7 +149,7 @@ class JointTarget:
         return share
 
     def _rates_to(self, position: Vector, rotation: Rotation) -> list[float]:
-        """Joint speeds (6,) that take the TCP there in one tick."""
+        """Return the joint speeds (6,) that bring the TCP there in one tick."""
         (x, y, z), here = self.tool_at(self.q)
         rx, ry, rz = rotvec_of(multiply(rotation, transpose(here)))
         rate = 1.0 / TICK_S
@@ -177,7 +178,7 @@ class JointTarget:
         self.q_array, self.qd_array = np.array(q), np.array(qd)
 
     def _take_tool(self) -> None:
-        """Mean the TCP that is configured now."""
+        """Take the present TCP configuration as the tool."""
         self._offset = self._plant.tcp_offset
         self._tool_rotation = rotation_of(*self._offset[3:])
         self._tool: tuple[Vector, Rotation] | None = None

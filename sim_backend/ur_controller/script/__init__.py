@@ -1,7 +1,7 @@
 """URScript: compiled to Python code and run in steps of one tick.
 
 The language is that of UR's script manual for PolyScope 5 (universal-robots.com/manuals, SW5_25_1, prod-scriptmanual).
-Where the manual leaves a question open, the module that has to answer it says how and why.
+Where the manual leaves a question open, the module that answers it states the answer and the reason.
 """
 
 from .builtin import REQUIRED, Builtin, Parameter, Table

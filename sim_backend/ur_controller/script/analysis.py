@@ -1,9 +1,9 @@
-"""Scopes, calls and costs of a script, found before any code is made of it.
+"""Scopes, calls and costs of a script, determined before code generation.
 
-From UR's script manual, "Scoping rules": a variable of the program's first level is global whether it says so or not,
-and so is every one that some `global` names; `local` and parameters belong to their function; a name without a
-qualifier is the global one where there is one, else local. A function does not see the locals of the function around
-it.
+From UR's script manual, "Scoping rules": a variable of the program's first level is global with or without a qualifier,
+and so is every variable that a `global` names. `local` variables and parameters belong to their function. A name
+without a qualifier is the global one if there is one, else local. A function does not see the locals of the function
+around it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -39,9 +39,9 @@ DEEPEST_BLOCK: Final = 30
 DEEPEST_LOOP: Final = 15
 MOST_BRANCHES: Final = 300
 BUILTIN_COST: Final = 30
-"""Operations that a call of a builtin counts for; one that works on long values takes more by itself."""
+"""Operations charged for a call of a builtin; one that works on long values charges more itself."""
 COSTLIEST_PLAIN: Final = 500
-"""Operations of a function that runs to its end without a look at the budget."""
+"""Largest cost, in operations, of a function that runs to its end without checking the budget."""
 
 
 @dataclass(eq=False, slots=True)
@@ -49,12 +49,12 @@ class Routine:
     """A function, thread or program.
 
     Attributes:
-        functions: Those declared in it.
-        optional: Parameters with a default.
-        own: Names that are local here whatever is global: parameters and those declared `local`.
-        cost: Operations of one call outside of loops; callees that are no generators included once `resolve` has run.
-        waits: It can wait for the next tick, so that it becomes a generator.
-        deep: It can call itself, directly or through others.
+        functions: functions declared in it.
+        optional: parameters with a default.
+        own: names that are local regardless of globals: parameters and variables declared `local`.
+        cost: operations of one call outside of loops; includes callees that are no generators after `resolve`.
+        waits: it can wait for the next tick and becomes a generator.
+        deep: it can call itself, directly or through others.
     """
 
     name: str
@@ -72,7 +72,7 @@ class Routine:
     deep: bool = False
 
     def find(self, name: str) -> "Routine | None":
-        """The function that a call of `name` from here reaches, or None."""
+        """Return the function that a call of `name` from here reaches, or None."""
         scope: Routine | None = self
         while scope is not None:
             if name in scope.functions:
@@ -82,10 +82,10 @@ class Routine:
 
 
 class Analysis:
-    """All of a script's functions, by their syntax nodes, and its global names.
+    """All functions of a script by their syntax nodes, and its global names.
 
     Raises:
-        CompileError: Something is nested too deeply, or stands where it means nothing.
+        CompileError: the nesting is too deep, or a statement is not allowed in its place.
     """
 
     def __init__(self, builtins: Table) -> None:
@@ -94,7 +94,7 @@ class Analysis:
         self.globals: set[str] = set()
 
     def declare(self, node: Function | Block, parent: Routine | None = None, depth: int = 0) -> Routine:
-        """Enter a function, or the statements of a program without a name, and all that it contains."""
+        """Enter a function, or the statements of a program without a name, with everything inside."""
         if isinstance(node, Function):
             routine = Routine(node.name, node.keyword, len(self.routines), parent)
             routine.parameters = tuple(p.name for p in node.parameters)
@@ -115,7 +115,7 @@ class Analysis:
         return routine
 
     def resolve(self, main: Routine) -> None:
-        """Settle what is global, and which functions are generators, once everything has been declared."""
+        """Determine the globals and the generators after everything has been declared."""
         self.globals |= main.assigned | main.own - set(main.parameters)
         main.own.clear()
         main.waits = True
@@ -132,7 +132,7 @@ class Analysis:
                     routine.waits |= self._builtins[call.name].blocking
                     routine.cost += BUILTIN_COST
         settled = [r for r in routines if not open_calls[r.number]]
-        for routine in settled:  # grows: callees first
+        for routine in settled:  # grows: callees come first
             routine.waits |= routine.cost > COSTLIEST_PLAIN
             for caller in callers[routine.number]:
                 caller.waits |= routine.waits
@@ -145,7 +145,7 @@ class Analysis:
                 routine.waits = routine.deep = True
 
     def is_local(self, routine: Routine, name: str) -> bool:
-        """Whether `name` is a local variable of `routine`."""
+        """Return True if `name` is a local variable of `routine`."""
         return name in routine.own or (name in routine.assigned and name not in self.globals)
 
     def _block(self, routine: Routine, block: Block, depth: int, loops: int) -> None:
@@ -155,7 +155,7 @@ class Analysis:
             routine.cost += 1
             match node:
                 case Function():
-                    # The innermost scope is searched first, and of two with one name the last counts.
+                    # The innermost scope is searched first; of two functions with one name the last counts.
                     routine.functions[node.name] = self.declare(node, routine, depth)
                 case Assign():
                     self._assign(routine, node)
@@ -204,7 +204,7 @@ class Analysis:
 
 
 def children(node: Expression) -> Iterator[Expression]:
-    """The expressions directly in `node`."""
+    """Yield the expressions directly inside `node`."""
     match node:
         case Constant() | Name():
             pass
@@ -228,5 +228,5 @@ def children(node: Expression) -> Iterator[Expression]:
 
 
 def not_found(place: Place, name: str) -> CompileError:
-    """The error in a real controller's own words, which the tests of UR's client library quote."""
+    """Return the error in a real controller's words, which the tests of UR's client library quote."""
     return CompileError(*place, f"compile_error_name_not_found:{name}:")

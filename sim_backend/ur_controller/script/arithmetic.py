@@ -1,11 +1,11 @@
 """Operators of the language.
 
-From UR's script manual, "Matrix and Array Expressions": `+ - * / %` work on two numbers, on a number and every
-element of a list or matrix, and element by element on two lists of one length; `*` of a matrix with a matrix or a
-list is the product of linear algebra. Indices count from 0. A pose counts as a list here and stays a pose.
+From UR's script manual, "Matrix and Array Expressions": `+ - * / %` work on two numbers, on a number and every element
+of a list or matrix, and element by element on two lists of one length; `*` of a matrix with a matrix or a list is the
+product of linear algebra. Indices count from 0. A pose counts as a list here and stays a pose.
 
-Not in the manual: `/` gives a float even of two ints (UR's own client divides its integers from the network so), `%`
-has the sign of its left operand, and an int beyond 32 bits becomes a float.
+Not in the manual: `/` returns a float even for two ints (UR's own client relies on it for integers from the network),
+`%` has the sign of its left operand, and an int beyond 32 bits becomes a float.
 """
 
 import math
@@ -34,11 +34,11 @@ from .values import (
 )
 
 MOST_PRODUCTS: Final = 32_768
-"""Multiplications in one product of matrices."""
+"""Largest number of multiplications in one product of matrices."""
 
 
 def add(a: Value, b: Value) -> Value:
-    """`a + b`; of two strings, one after the other."""
+    """`a + b`; two strings are concatenated."""
     if type(a) is float and type(b) is float:
         return a + b
     if is_number(a) and is_number(b):
@@ -98,7 +98,7 @@ def identity(a: Value) -> Value:
 
 
 def ordered(compare: Callable[[float, float], bool]) -> Callable[[Value, Value], bool]:
-    """One of `< <= > >=`, which order numbers only."""
+    """Return one of `< <= > >=`, which order numbers only."""
 
     def comparison(a: Value, b: Value) -> bool:
         if is_number(a) and is_number(b):
@@ -113,7 +113,7 @@ greater, greater_or_equal = ordered(operator.gt), ordered(operator.ge)
 
 
 def equal(a: Value, b: Value) -> bool:
-    """`a == b`; values of two types differ, but an int equals a float of its size."""
+    """`a == b`; values of different types differ, but an int equals a float of the same value."""
     if is_list(a) and is_list(b):
         BUDGET.take(min(len(a), len(b)) >> 3)
     return a == b
@@ -125,12 +125,12 @@ def unequal(a: Value, b: Value) -> bool:
 
 
 def condition(value: Value) -> bool:
-    """What `if`, `while` and the logical operators make of a value: a bool itself, of a number whether it is not 0."""
+    """Return the truth of a value in `if`, `while` and logical operators: a bool as it is, a number if it is not 0."""
     return value if type(value) is bool else truth(value, "A condition")
 
 
 def is_matrix(value: Value) -> TypeGuard[list[list[Value]]]:
-    """Whether `value` is a list whose first element is a list and no pose."""
+    """Return True for a list whose first element is a list and not a pose."""
     return is_list(value) and type(value) is not Pose and bool(value) and type(value[0]) is list
 
 
@@ -191,10 +191,10 @@ def make_struct(names: tuple[str, ...], *items: Value) -> Struct:
 
 
 def checked_list(items: list[Value]) -> list[Value]:
-    """`items`, if they are no more and no deeper than a value may be.
+    """Return `items` if they are within the limits of size and depth of a value.
 
     Raises:
-        ScriptRuntimeError: They are.
+        ScriptRuntimeError: they exceed the limits.
     """
     if len(items) > LARGEST_LIST or any(isinstance(item, list | dict) for item in items):
         _measure(items, 1)
@@ -202,7 +202,7 @@ def checked_list(items: list[Value]) -> list[Value]:
 
 
 def _measure(value: Value, depth: int) -> int:
-    """Numbers, strings and booleans in `value`; those of a list without inner lists are not counted one by one."""
+    """Count numbers, strings and booleans in `value`; a list without inner lists is counted by its length."""
     if isinstance(value, Struct):
         items = list(value.values())
     elif is_list(value):
@@ -219,10 +219,10 @@ def _measure(value: Value, depth: int) -> int:
 
 
 def checked_text(text: str) -> str:
-    """`text`, if it is no longer than a string may be.
+    """Return `text` if it is no longer than a string may be.
 
     Raises:
-        ScriptRuntimeError: It is.
+        ScriptRuntimeError: it is longer.
     """
     if len(text) > LONGEST_TEXT:
         raise ScriptRuntimeError(f"A string cannot have more than {LONGEST_TEXT} characters")
@@ -248,7 +248,7 @@ def field(base: Value, name: str) -> Value:
 
 
 def replaced(base: Value, value: Value, *path: Value) -> Value:
-    """`base` with `value` at `path`, in which a field's name is a string."""
+    """Return `base` with `value` at `path`, in which a string is the name of a field."""
     key, *rest = path
     if isinstance(base, Struct):
         inner: Value = field(base, key)
@@ -287,7 +287,7 @@ def _position(base: list[Value], index: Value) -> int:
 
 
 def method(base: Value, name: str, *arguments: Value) -> tuple[Value, Value]:
-    """What `base.name(...)` leaves in the variable, and its result.
+    """Return the value that `base.name(...)` leaves in the variable, and its result.
 
     Lists of variable length: `length`, `append`, `pop`, `insert` and `clear` (PolyScope 5.15).
     """

@@ -1,18 +1,18 @@
-"""Work that a thread may still do in this tick."""
+"""Budget of operations that a thread may still use in this tick."""
 
 from typing import Final
 
 from .errors import ScriptRuntimeError
 
 LARGEST_DEBT: Final = 150_000
-"""Operations beyond the budget that one statement may take, which nothing can interrupt: twice the largest product."""
+"""Operations beyond the budget that one uninterruptible statement may use: twice the largest product."""
 
 
 class Budget:
-    """A count of operations, shared by compiled code, which takes its own from it, and by what works on long values.
+    """A count of operations; compiled code and functions on long values subtract their operations from it.
 
-    The emulated controller is one thread of its process, so that one budget, filled before a script's thread goes on,
-    serves every program in turn.
+    The emulated controller is one thread of its process, so one budget serves every program in turn; it is filled
+    before a script's thread continues.
     """
 
     __slots__ = ("left",)
@@ -21,10 +21,10 @@ class Budget:
         self.left = 0
 
     def take(self, operations: int) -> None:
-        """Count work on a long value.
+        """Subtract the operations of work on a long value.
 
         Raises:
-            ScriptRuntimeError: The statement has taken far more than a tick's.
+            ScriptRuntimeError: the statement has used far more operations than a tick allows.
         """
         self.left -= operations
         if self.left < -LARGEST_DEBT:
@@ -33,4 +33,4 @@ class Budget:
 
 BUDGET = Budget()
 EXHAUSTED = 1
-"""What a thread yields that has used up its budget; one that waits for the next tick yields None."""
+"""Yielded by a thread that has used up its budget; a thread that waits for the next tick yields None."""

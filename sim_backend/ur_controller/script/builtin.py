@@ -1,4 +1,4 @@
-"""Functions that a script calls and this project implements."""
+"""Functions that scripts call and this project implements."""
 
 import inspect
 from collections.abc import Callable, Mapping
@@ -12,12 +12,12 @@ class _Required:
 
 
 REQUIRED: Final = _Required()
-"""The default of a parameter that has none."""
+"""Default that marks a parameter without a default."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """Name of a builtin's parameter as scripts write it, and its default or `REQUIRED`."""
+    """A builtin's parameter: its name in scripts, and its default or `REQUIRED`."""
 
     name: str
     default: Any = REQUIRED
@@ -28,10 +28,10 @@ class Builtin:
     """One function of the controller.
 
     Attributes:
-        call: Takes script values (see `values`) by position and returns one, or None. It raises `ScriptRuntimeError`.
-        parameters: In the order of the call.
-        blocking: `call` returns a generator: each `yield` waits for the next tick, what it returns is the result. It is
-            closed when its thread is killed, so that a `finally` can give back what it holds.
+        call: takes script values (see `values`) by position and returns one, or None. It raises `ScriptRuntimeError`.
+        parameters: parameters in the order of the call.
+        blocking: `call` returns a generator: each `yield` waits for the next tick, the return value is the result. The
+            generator is closed when its thread is killed, so a `finally` can release its resources.
     """
 
     call: Callable[..., Any]
@@ -40,7 +40,8 @@ class Builtin:
 
     @classmethod
     def of(cls, function: Callable[..., Any]) -> "Builtin":
-        """The builtin that `function` is; parameters and defaults are those of its signature, which is all plain names.
+        """Make a builtin from `function`, with the parameters and defaults of its signature, which has plain names
+        only.
 
         A name that Python reserves is written with a trailing underscore, which scripts leave out.
         """
@@ -59,4 +60,4 @@ class Builtin:
 
 
 Table: TypeAlias = Mapping[str, Builtin]
-"""Builtins by the name that scripts call."""
+"""Builtins by script name."""

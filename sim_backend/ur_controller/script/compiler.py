@@ -1,10 +1,10 @@
-"""From a syntax tree to Python code.
+"""Compiler from a syntax tree to Python code.
 
 Each function of the script becomes a Python function, or a generator if it can wait for the next tick; threads and
 programs are generators. The Python tree is built node by node, never as text, and its names cannot reach the host: a
-variable x becomes `v_x` or, if global, `g_x`, a function `f<number>_x`, a builtin `b_x`, while all that the code
-needs besides begins with an underscore; there are no Python builtins, and no attribute is taken but the budget's.
-Lines and columns are those of the script, so that Python's own traceback tells where a script failed.
+variable x becomes `v_x` or, if global, `g_x`, a function `f<number>_x`, a builtin `b_x`; all other names in the code
+begin with an underscore. There are no Python builtins, and the only attribute accessed is the budget's. Lines and
+columns are those of the script, so Python's own traceback locates a failure in the script.
 """
 
 import ast
@@ -58,9 +58,9 @@ from .timing import sleep, sync
 FILE_NAME: Final = "<script>"
 MAIN: Final = "_main"
 CHEAP_BRANCH: Final = 8
-"""Operations that are paid for whether they are done or not."""
+"""Largest cost, in operations, of a branch that is charged whether it runs or not."""
 LONGEST_STRETCH: Final = 50
-"""Operations, or little more, from one look at the budget to the next where there is no loop."""
+"""Operations, approximately, from one check of the budget to the next in code without a loop."""
 _FLOW: Final[Table] = {"sync": Builtin.of(sync), "sleep": Builtin.of(sleep)}
 
 
@@ -69,9 +69,9 @@ class Compiled:
     """A script ready to run, any number of times.
 
     Attributes:
-        name: Of the `def` or `sec`; "unnamed" for loose statements.
-        kind: A `sec` is "secondary": it runs beside the program and takes no time.
-        code: Defines the script's functions in a copy of `names`.
+        name: name of the `def` or `sec`; "unnamed" for loose statements.
+        kind: a `sec` is "secondary": it runs beside the program and takes no time.
+        code: defines the script's functions in a copy of `names`.
     """
 
     name: str
@@ -81,14 +81,14 @@ class Compiled:
 
 
 def compile_source(text: str, builtins: Table) -> Compiled:
-    """The program that a controller runs when it is sent `text`.
+    """Compile the program that a controller runs when it receives `text`.
 
-    One `def` or `sec` without parameters is the program; of several functions and nothing else it is the last one.
+    A single `def` or `sec` without parameters is the program; of several functions and nothing else, the last one is.
     Anything else is the body of a program without a name. `sync` and `sleep` belong to the language and need not be in
     `builtins`.
 
     Raises:
-        CompileError: The text is no script, calls or reads what does not exist, or passes wrong arguments.
+        CompileError: the text is not a script, calls or reads unknown names, or passes wrong arguments.
     """
     block = parse(text)
     table = {**_FLOW, **builtins}
@@ -144,7 +144,7 @@ class _StatementCompiler(ExpressionCompiler):
         self.routine, self.stored, self.cost = outer
 
     def statement(self, node: Statement) -> list[ast.stmt]:
-        """Code for one statement; a function adds its own definition and no code here."""
+        """Return the code for one statement; a function adds its own definition and no code here."""
         self.cost += 1
         place = node.place
         match node:

@@ -1,12 +1,12 @@
-"""What goes wrong with a script: found while compiling it, or while it runs."""
+"""Errors of a script, found while compiling it or while it runs."""
 
 
 class CompileError(Exception):
     """A script that the controller does not start.
 
     Attributes:
-        line, column: Where, both from 1; 0 when the error has no place.
-        text: What is wrong, without the place.
+        line, column: place, both from 1; 0 if the error has no place.
+        text: description of the error, without the place.
     """
 
     def __init__(self, line: int, column: int, text: str) -> None:
@@ -15,14 +15,14 @@ class CompileError(Exception):
 
 
 class ScriptRuntimeError(Exception):
-    """A running script that cannot go on; the program stops.
+    """A running script that cannot continue; the program stops.
 
     A builtin raises it with its text alone; the runtime adds the place and the thread.
 
     Attributes:
-        text: What is wrong, without the place.
-        line, column: Statement or call that failed, from 1; 0 until the runtime has filled them in.
-        thread: Name of the thread, of the program itself for its main thread.
+        text: description of the error, without the place.
+        line, column: place of the failed statement or call, from 1; 0 until the runtime fills it in.
+        thread: name of the thread; the main thread has the program's name.
     """
 
     def __init__(self, text: str, line: int = 0, column: int = 0, thread: str = "") -> None:
@@ -34,4 +34,4 @@ class ScriptRuntimeError(Exception):
 
 
 class Halt(BaseException):
-    """`halt`: the whole program ends; no error, so that no handler of errors stops it."""
+    """`halt`: the whole program ends. This is no error, so no error handler catches it."""

@@ -1,7 +1,7 @@
-"""Python expressions for those of a script.
+"""Compiler from expressions of a script to Python expressions.
 
-Not in UR's script manual: operators bind as in Python, with `xor` between `or` and `and`, and `and` and `or` leave out
-their right side when the left one decides.
+Not in UR's script manual: operators bind as in Python, with `xor` between `or` and `and`; `and` and `or` skip their
+right side when the left one decides.
 """
 
 import ast
@@ -46,16 +46,16 @@ _BOOLEAN: Final = frozenset({"==", "!=", "<", "<=", ">", ">=", "and", "or", "xor
 
 
 class ExpressionCompiler:
-    """Makes expressions of one script; the statements around them derive from it.
+    """Compiles the expressions of one script; the compiler of statements derives from it.
 
     Attributes:
-        names: What the code finds besides its own functions.
-        routine: The function whose code is being made.
-        stored: Python names of global variables that it assigns.
-        cost: Operations of what was made since it was last set to 0.
+        names: names available to the code besides its own functions.
+        routine: function whose code is being made.
+        stored: Python names of global variables that the function assigns.
+        cost: operations of the code made since the cost was last set to 0.
 
     Raises:
-        CompileError: A name or an argument is wrong; the first in the order of the text.
+        CompileError: a name or an argument is wrong; reports the first in the order of the text.
     """
 
     def __init__(self, analysis: Analysis, builtins: Table, main: Routine) -> None:
@@ -82,7 +82,7 @@ class ExpressionCompiler:
         self.cost = 0
 
     def target(self, place: Place, name: str) -> str:
-        """The Python name of a variable that is assigned to."""
+        """Return the Python name of a variable that is assigned."""
         if self._analysis.is_local(self.routine, name):
             return "v_" + name
         if name not in self._analysis.globals:
@@ -91,7 +91,7 @@ class ExpressionCompiler:
         return "g_" + name
 
     def expression(self, node: Expression) -> ast.expr:
-        """Code for the value of `node`."""
+        """Return the code for the value of `node`."""
         self.cost += 1
         place = node.place
         match node:
@@ -118,7 +118,7 @@ class ExpressionCompiler:
                 return self._binary(node)
 
     def condition(self, node: Expression) -> ast.expr:
-        """Code for `node` as True or False."""
+        """Return the code for `node` as True or False."""
         value = self.expression(node)
         if isinstance(node, Unary | Binary) and node.operator in _BOOLEAN:
             return value
@@ -202,7 +202,7 @@ class ExpressionCompiler:
         return called
 
     def _bind(self, node: Call, parameters: Sequence[tuple[str, bool]]) -> list[ast.expr | None]:
-        """One value for each parameter, given by its name and whether it must be given; None where it is not."""
+        """Return one value for each parameter, given as name and required flag; None for an omitted one."""
         names = [name for name, _ in parameters]
         values: dict[str, ast.expr] = {}
         for position, argument in enumerate(node.arguments):
@@ -243,7 +243,7 @@ class ExpressionCompiler:
 
 
 def python_name(routine: Routine) -> str:
-    """The name of the Python function that a function of the script becomes."""
+    """Return the name of the Python function for a function of the script."""
     return f"f{routine.number}_{routine.name}"
 
 
@@ -252,7 +252,7 @@ def _wrong(node: Call, where: Argument | Call, text: str) -> CompileError:
 
 
 def _fixed(node: Expression) -> Any:
-    """The value of a literal that is the same each time, or None."""
+    """Return the value of a literal that never changes, or None."""
     match node:
         case Constant() if not isinstance(node.value, str):
             return node.value

@@ -1,7 +1,7 @@
-"""From the text of a script to its syntax tree.
+"""Parser from the text of a script to its syntax tree.
 
-The grammar is `grammar.lark`, parsed bottom-up without recursion, so that depth costs memory in proportion to the
-text only.
+The grammar is `grammar.lark`, parsed bottom-up without recursion, so memory grows with the length of the text only, not
+with its depth.
 """
 
 from dataclasses import dataclass
@@ -40,16 +40,16 @@ from .syntax import (
 from .values import LARGEST_INT, LONGEST_TEXT
 
 LONGEST_SOURCE = 131_072
-"""Characters; three times the longest script that a client in use sends. Compiling holds up the tick, by up to 2 s."""
+"""Characters; three times the longest script of a client in use. Compiling delays the tick, by up to 2 s."""
 LONGEST_QUOTE = 200
 
 
 @lru_cache(maxsize=2)
 def parse(text: str) -> Block:
-    """The statements of a script.
+    """Return the statements of a script.
 
     Raises:
-        CompileError: The text is not URScript, or longer than `LONGEST_SOURCE`.
+        CompileError: the text is not URScript, or longer than `LONGEST_SOURCE`.
     """
     if len(text) > LONGEST_SOURCE:
         raise CompileError(0, 0, f"The script has {len(text)} characters, the most is {LONGEST_SOURCE}: split it")
@@ -60,7 +60,7 @@ def parse(text: str) -> Block:
 
 
 def _syntax_error(error: UnexpectedInput, text: str) -> CompileError:
-    # The end of the text, where it comes too early, has the place of the last word before it.
+    # A text that ends too early has the place of its last word.
     source = text.split("\n")[error.line - 1].strip()[:LONGEST_QUOTE]
     return CompileError(error.line, error.column, f"syntax_error_on_line:{error.line}:{source}:")
 
@@ -190,8 +190,8 @@ def _at(token: Token, text: str) -> CompileError:
 _PARSER: Final = Lark(
     Path(__file__).with_name("grammar.lark").read_text(encoding="utf-8"),
     parser="lalr",
-    lexer="basic",  # every keyword is reserved, wherever it stands
+    lexer="basic",  # every keyword is reserved in every place
     maybe_placeholders=False,
     transformer=_TreeBuilder(),
 )
-_PARSER.parse("first = 1")  # makes the scanner too: no tick of a controller has to wait for either
+_PARSER.parse("first = 1")  # this also makes the scanner, so no tick of a controller waits for either

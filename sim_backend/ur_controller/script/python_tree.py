@@ -1,4 +1,4 @@
-"""Nodes of a Python syntax tree that carry the place of the script's own text."""
+"""Nodes of a Python syntax tree that carry the place in the script's text."""
 
 import ast
 from collections.abc import Iterable
@@ -10,7 +10,7 @@ Node = TypeVar("Node", bound=ast.AST)
 
 
 def at(place: Place, node: Node) -> Node:
-    """`node`, which now stands at `place`."""
+    """Return `node` with `place` set."""
     line, column = place
     for name, value in (("lineno", line), ("end_lineno", line), ("col_offset", column - 1), ("end_col_offset", column)):
         setattr(node, name, value)
@@ -18,7 +18,7 @@ def at(place: Place, node: Node) -> Node:
 
 
 def load(place: Place, name: str) -> ast.Name:
-    """The value of a name."""
+    """A read of a name."""
     return at(place, ast.Name(id=name, ctx=ast.Load()))
 
 
@@ -38,7 +38,7 @@ def call(place: Place, name: str, arguments: Iterable[ast.expr] = ()) -> ast.Cal
 
 
 def wait_for(place: Place, generator: ast.expr) -> ast.expr:
-    """The result of a generator, whose every wait is a wait of this one."""
+    """The result of a generator; each of its waits is passed on."""
     return at(place, ast.YieldFrom(value=generator))
 
 

@@ -1,12 +1,12 @@
-"""A compiled script at work, one tick at a time.
+"""Execution of a compiled script, one tick at a time.
 
-From UR's script manual, "Threads" and "Thread scheduling": every thread that can run is scheduled once in each frame
-of 2 ms, until it uses time or its slice is spent; `join` waits for the end of a thread, `kill` ends one and those that
-it has run. The end of the main program is the end of all.
+From UR's script manual, "Threads" and "Thread scheduling": every runnable thread is scheduled once in each frame of 2
+ms, until it uses time or its slice is spent; `join` waits for the end of a thread, `kill` ends a thread and those that
+it has run. The end of the main program ends all threads.
 
-Not in the manual: a critical section keeps other threads from running between two of its statements only; a thread
-that waits inside of one lets them run, also in their own sections. UR's client needs it so: its trajectory thread
-moves inside of a section while the main thread, inside of another, waits for the network and may cancel the motion.
+Not in the manual: a critical section keeps other threads from running only between two of its statements. A thread that
+waits inside a section lets them run, also in their own sections. UR's client requires this: its trajectory thread moves
+inside a section while the main thread, inside another, waits for the network and may cancel the motion.
 """
 
 import enum
@@ -23,20 +23,20 @@ from .errors import Halt, ScriptRuntimeError
 from .values import Value, integer
 
 STEP_LIMIT: Final = 10_000
-"""Operations in one tick, all threads together: half a millisecond, a whole one where most of them are builtins."""
+"""Operations of all threads in one tick: half a millisecond, a whole one if most of them are builtins."""
 LEAST_SHARE: Final = 500
-"""Of a thread in a tick, when those before it have used up the limit."""
+"""Operations of a thread in a tick in which earlier threads have used up the limit."""
 MOST_THREADS: Final = 50
-"""Of a program, those included that have ended in the same tick."""
+"""Threads of a program, including those that have ended in the same tick."""
 DEEPEST_CALL: Final = 60
 MOST_MEMORY_KIB: Final = 512 * 1024
-"""By which the process may grow while a program runs: values are bounded one by one, their number is not."""
+"""Growth of the process allowed while a program runs; each value is bounded, the number of values is not."""
 
 Code: TypeAlias = Generator[int | None, None, Value]
 
 
 class State(enum.Enum):
-    """Of an execution."""
+    """State of an execution."""
 
     RUNNING = enum.auto()
     FINISHED = enum.auto()
@@ -47,8 +47,8 @@ class ScriptThread:
     """One thread of a running script; the main program's handle is 0.
 
     Attributes:
-        handle, name: As the script knows it.
-        parent: The thread that has run it.
+        handle, name: identification in the script.
+        parent: thread that has run it.
     """
 
     __slots__ = ("_code", "critical", "depth", "handle", "name", "parent")
@@ -61,15 +61,15 @@ class ScriptThread:
 
     @property
     def alive(self) -> bool:
-        """Whether it has neither ended nor been killed."""
+        """The thread has neither ended nor been killed."""
         return self._code is not None
 
     def step(self) -> int | None:
-        """Go on to the next wait; `StopIteration` at the end."""
+        """Continue to the next wait; raise `StopIteration` at the end."""
         return None if self._code is None else self._code.send(None)
 
     def close(self) -> None:
-        """End it where it waits."""
+        """End the thread where it waits."""
         code, self._code, self.parent = self._code, None, None
         if code is not None:
             code.close()
@@ -83,10 +83,10 @@ class Execution:
     """A run of a compiled script.
 
     Attributes:
-        name: Of the program.
-        state: It stays RUNNING until `step` or `kill` ends it.
-        error: Why it FAILED.
-        current_thread: The thread that runs now; None between steps.
+        name: name of the program.
+        state: RUNNING until `step` or `kill` ends it.
+        error: error of a FAILED run.
+        current_thread: thread that runs now; None between steps.
     """
 
     def __init__(self, compiled: Compiled, *, step_limit: int = STEP_LIMIT) -> None:
@@ -107,14 +107,14 @@ class Execution:
             "_enter_call": self._enter_call,
             "_leave_call": self._leave_call,
         }
-        exec(compiled.code, names)  # noqa: S102  # built from a syntax tree of ours, see `compiler`
+        exec(compiled.code, names)  # noqa: S102  # built from a syntax tree of this project, see `compiler`
         self._threads = [ScriptThread(0, compiled.name, names[MAIN]())]
         self._first: ScriptThread | None = None
 
     def step(self) -> None:
-        """One tick: every thread goes on until it waits for the next one.
+        """Run one tick: every thread continues until it waits for the next tick.
 
-        In its turn a thread may use up what the others before it have left of the step limit, or else `LEAST_SHARE`.
+        In its turn a thread may use the rest of the step limit, or `LEAST_SHARE` if that is more.
         """
         if not all(thread.alive for thread in self._threads):
             self._threads = [thread for thread in self._threads if thread.alive]
@@ -130,15 +130,15 @@ class Execution:
                 return
 
     def kill(self) -> None:
-        """End the run at once: FINISHED, unless it has failed.
+        """End the run at once; its state is FINISHED, unless it has failed.
 
-        Called by a builtin, it ends the calling thread when that next waits.
+        Called by a builtin, it ends the calling thread at that thread's next wait.
         """
         if self.state is State.RUNNING:
             self._end(State.FINISHED)
 
     def _advance(self, thread: ScriptThread) -> bool:
-        """Let one thread run; False when no other may in this tick."""
+        """Run one thread; return False if no other may run in this tick."""
         if self.state is not State.RUNNING:
             return False
         BUDGET.left = share = max(self._left, LEAST_SHARE)
@@ -152,7 +152,7 @@ class Execution:
                 self._end(State.FINISHED)
         except Halt:
             self._end(State.FINISHED)
-        except Exception as error:  # a builtin's own mistake too must not take the controller down
+        except Exception as error:  # an error in a builtin itself must not end the controller either
             self.error = _runtime_error(error, thread.name)
             self._end(State.FAILED)
         self.current_thread = None
@@ -174,7 +174,7 @@ class Execution:
             self._threads = []
         BUDGET.left = -1
 
-    # what the compiled code calls
+    # called by the compiled code
 
     def _run(self, name: str, code: Code) -> int:
         if len(self._threads) >= MOST_THREADS:
@@ -195,7 +195,7 @@ class Execution:
         if thread is None:
             return
         doomed = {thread}
-        for other in self._threads:  # a child stands behind its parent
+        for other in self._threads:  # a child follows its parent
             if other.parent in doomed:
                 doomed.add(other)
         for other in doomed - {self.current_thread}:
@@ -227,12 +227,12 @@ class Execution:
 
 
 def _peak_memory_kib() -> int:
-    """Most memory that the process has ever had."""
+    """Return the largest memory that the process has ever used, KiB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def _runtime_error(error: Exception, thread: str) -> ScriptRuntimeError:
-    """`error` as the script's own, with its place."""
+    """Return `error` as the script's own, with its place."""
     line, column = _place_of(error.__traceback__)
     match error:
         case ScriptRuntimeError():
@@ -252,7 +252,7 @@ def _runtime_error(error: Exception, thread: str) -> ScriptRuntimeError:
 
 
 def _place_of(traceback: TracebackType | None) -> tuple[int, int]:
-    """Line and column, from 1, of the innermost call that the script itself made; zeros if it made none."""
+    """Return line and column, from 1, of the innermost call made by the script itself; zeros without one."""
     place = 0, 0
     while traceback is not None:
         code: CodeType = traceback.tb_frame.f_code

@@ -1,4 +1,4 @@
-"""Syntax tree of a script: what was written, where, and nothing about what it means."""
+"""Syntax tree of a script: text and place, without meaning."""
 
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -25,7 +25,7 @@ class Name:
 
 @dataclass(frozen=True, slots=True)
 class ListLiteral:
-    """`[...]`, or `p[...]` when `pose`."""
+    """`[...]`, or `p[...]` if `pose`."""
 
     place: Place
     items: tuple["Expression", ...]
@@ -52,7 +52,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """One argument; `name` is empty when it is given by position."""
+    """One argument; `name` is empty for an argument by position."""
 
     place: Place
     name: str

@@ -1,4 +1,4 @@
-"""The two builtins that belong to the language: they only let time pass."""
+"""The two builtins that belong to the language; they only wait."""
 
 import math
 from collections.abc import Generator
@@ -8,11 +8,11 @@ from .errors import ScriptRuntimeError
 from .values import Value, number
 
 STEP_S: Final = 0.002
-"""One tick; UR's script manual, "Thread scheduling": each thread has 0.002 s to use in each frame."""
+"""Length of a tick, s; UR's script manual, "Thread scheduling": each thread has 0.002 s to use in each frame."""
 
 
 def sync() -> Generator[None]:
-    """Use up what is left of this tick."""
+    """Use up the rest of this tick."""
     yield
 
 

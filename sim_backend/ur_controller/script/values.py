@@ -1,10 +1,10 @@
-"""Values of a script, and how a builtin takes them apart.
+"""Values of a script, and their checks in builtins.
 
-An int is an int of 32 bits, a float a float, a string a str, a boolean a bool; a list is a list, a matrix a list of
-lists of equal length, a pose a `Pose` and a struct a `Struct`. A thread handle is an int; 0 is no thread.
+An int is an int of 32 bits, a float a float, a string a str, a boolean a bool. A list is a list, a matrix a list of
+lists of equal length, a pose a `Pose`, a struct a `Struct`. A thread handle is an int; 0 is no thread.
 
-No value is ever changed in place: `q[0] = 1` gives the variable a new list. So assigning and passing by value, as the
-language has it, cost nothing. A builtin must not change a list that it was given, nor one that it has returned.
+No value is ever changed in place: `q[0] = 1` gives the variable a new list. Assigning and passing by value, as the
+language requires, therefore cost nothing. A builtin must not change a list that it was given or has returned.
 """
 
 from typing import Any, TypeAlias, TypeGuard
@@ -12,19 +12,19 @@ from typing import Any, TypeAlias, TypeGuard
 from .errors import ScriptRuntimeError
 
 Value: TypeAlias = Any
-"""int, float, bool, str, list, `Pose`, `Struct`, or None where a function returned nothing."""
+"""int, float, bool, str, list, `Pose`, `Struct`, or None if a function returned nothing."""
 
 LEAST_INT, LARGEST_INT = -(2**31), 2**31 - 1
 LONGEST_TEXT = 1_023
-"""Characters, as the script manual limits what str_cat and to_str give."""
+"""Characters of a string: the script manual's limit for str_cat and to_str."""
 LARGEST_LIST = 4_096
 LARGEST_QUANTITY = 1e3
-"""Of what the arm's motion and dynamics are computed from, SI units and rad: beyond any arm, far from overflow."""
+"""Largest input to the arm's motion and dynamics, SI units and rad: beyond any arm, far from overflow."""
 DEEPEST_VALUE = 4
 
 
 class Pose(list[float]):
-    """`p[x, y, z, rx, ry, rz]`: m and rotation vector in rad; compares equal to poses only."""
+    """`p[x, y, z, rx, ry, rz]`, m and rotation vector in rad; equal to poses only."""
 
     __slots__ = ()
 
@@ -47,17 +47,17 @@ class Struct(dict[str, Value]):
 
 
 def is_number(value: Value) -> TypeGuard[int | float]:
-    """Whether `value` is an int or a float; a bool is neither."""
+    """Return True if `value` is an int or a float; a bool is neither."""
     return type(value) is float or type(value) is int
 
 
 def is_list(value: Value) -> TypeGuard[list[Value]]:
-    """Whether `value` is a list, a matrix or a pose."""
+    """Return True if `value` is a list, a matrix or a pose."""
     return isinstance(value, list)
 
 
 def kind_of(value: Value) -> str:
-    """The type's name as error texts give it."""
+    """Return the type's name in error texts."""
     match value:
         case None:
             return "no value"
@@ -80,10 +80,10 @@ def kind_of(value: Value) -> str:
 
 
 def number(value: Value, what: str) -> float:
-    """`value` as a float.
+    """Return `value` as a float.
 
     Raises:
-        ScriptRuntimeError: It is no number; the text names it as `what`.
+        ScriptRuntimeError: it is not a number; the text names it as `what`.
     """
     if type(value) is float:
         return value
@@ -93,10 +93,10 @@ def number(value: Value, what: str) -> float:
 
 
 def integer(value: Value, what: str) -> int:
-    """`value` as an int; a float counts when it is whole.
+    """Return `value` as an int; a whole float is accepted.
 
     Raises:
-        ScriptRuntimeError: It is no whole number.
+        ScriptRuntimeError: it is not a whole number.
     """
     if type(value) is int:
         return value
@@ -106,10 +106,10 @@ def integer(value: Value, what: str) -> int:
 
 
 def truth(value: Value, what: str) -> bool:
-    """`value` as a condition: a bool, or a number that is not zero.
+    """Return `value` as a condition; it must be a bool or a number, which is true if not zero.
 
     Raises:
-        ScriptRuntimeError: It is neither.
+        ScriptRuntimeError: it is neither.
     """
     if type(value) is bool:
         return value
@@ -119,10 +119,10 @@ def truth(value: Value, what: str) -> bool:
 
 
 def text(value: Value, what: str) -> str:
-    """`value` as a string, which it must be already.
+    """Return `value`, which must be a string.
 
     Raises:
-        ScriptRuntimeError: It is not.
+        ScriptRuntimeError: it is not a string.
     """
     if type(value) is str:
         return value
@@ -130,10 +130,10 @@ def text(value: Value, what: str) -> str:
 
 
 def vector(value: Value, length: int, what: str) -> list[float]:
-    """`value`, a list or a pose of `length` numbers, as a new list of floats.
+    """Return `value`, a list or a pose of `length` numbers, as a new list of floats.
 
     Raises:
-        ScriptRuntimeError: It is no such list.
+        ScriptRuntimeError: it is not such a list.
     """
     if is_list(value) and len(value) == length:
         if all(type(item) is float for item in value):
@@ -143,10 +143,10 @@ def vector(value: Value, length: int, what: str) -> list[float]:
 
 
 def quantities(value: Value, length: int, what: str) -> list[float]:
-    """`value` as by `vector`, of numbers that the arm can do something with.
+    """Return `value` as `vector` does; its numbers must be within the range of the arm's computations.
 
     Raises:
-        ScriptRuntimeError: It is no such list, or holds one beyond `LARGEST_QUANTITY` or none at all, such as NaN.
+        ScriptRuntimeError: it is not such a list, or a number exceeds `LARGEST_QUANTITY` or is NaN.
     """
     numbers = vector(value, length, what)
     if all(-LARGEST_QUANTITY <= item <= LARGEST_QUANTITY for item in numbers):
@@ -155,10 +155,10 @@ def quantities(value: Value, length: int, what: str) -> list[float]:
 
 
 def pose(value: Value, what: str) -> list[float]:
-    """`value`, which must be a pose, as a new list of 6 floats: m, rad.
+    """Return `value`, which must be a pose, as a new list of 6 floats: m, rad.
 
     Raises:
-        ScriptRuntimeError: It is no pose, a list of six numbers included.
+        ScriptRuntimeError: it is not a pose; a list of six numbers is not accepted.
     """
     if type(value) is Pose:
         return list(value)
@@ -166,5 +166,5 @@ def pose(value: Value, what: str) -> list[float]:
 
 
 def text_of_kind(value: Value) -> str:
-    """The type and, of a list, its length, for an error text."""
+    """Return the type and, for a list, the length, for an error text."""
     return f"a {kind_of(value)}" + (f" of {len(value)}" if is_list(value) else "")

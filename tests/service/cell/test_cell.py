@@ -12,7 +12,7 @@ from service.faults import FaultCode
 from service.messages import (
     CellState,
     Event,
-    Reason,
+    RefusalReason,
     Refused,
     ResetRequest,
     RunResult,
@@ -126,7 +126,7 @@ async def test_two_starts_at_once_one_is_accepted(simulated_cell: SimulatedCellF
         assert [type(answer) for answer in answers].count(RunResult) == 1
         for answer in answers:
             if isinstance(answer, Refused):
-                assert answer.problem.reason is Reason.WRONG_STATE
+                assert answer.problem.reason is RefusalReason.WRONG_STATE
 
 
 async def test_the_same_idempotency_key_is_the_same_run_at_once_later_and_after_its_end(
@@ -151,7 +151,7 @@ async def test_an_unknown_recipe_is_refused_and_the_known_ones_named(
     async with simulated_cell(policies.still(tmp_path)) as bench:
         answer = await bench.cell.start(StartRequest(recipe="nothing"))
         assert isinstance(answer, Refused)
-        assert answer.problem.reason is Reason.UNKNOWN_RECIPE
+        assert answer.problem.reason is RefusalReason.UNKNOWN_RECIPE
         assert RECIPE in answer.problem.detail
 
 
@@ -163,7 +163,7 @@ async def test_a_start_that_comes_after_its_sender_gave_up_is_refused_and_moves_
         now = bench.cell.journal.time_of_day()
         late = await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY, valid_until=now - 0.001))
         assert isinstance(late, Refused)
-        assert late.problem.reason is Reason.EXPIRED
+        assert late.problem.reason is RefusalReason.EXPIRED
         await bench.let_pass(0.5)
         assert faulty.driver.said("engage") == []
         assert (bench.cell.state, bench.cell.runs.active) == (CellState.READY, None)
@@ -180,7 +180,7 @@ async def test_a_start_whose_policy_took_too_long_to_load_is_refused_and_moves_n
         monkeypatch.setattr(bench.cell.journal, "time_of_day", lambda: next(hours, 12.0))
         late = await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY, valid_until=11.0))
         assert isinstance(late, Refused)
-        assert late.problem.reason is Reason.EXPIRED
+        assert late.problem.reason is RefusalReason.EXPIRED
         assert faulty.driver.said("engage") == []
         assert bench.cell.state is CellState.READY
 
@@ -242,7 +242,7 @@ async def test_a_reset_in_advance_is_refused_and_a_later_fault_still_latches(fau
     async with faulty_cell() as faulty:
         answer = await faulty.bench.cell.reset(ResetRequest())
         assert isinstance(answer, Refused)
-        assert answer.problem.reason is Reason.NOT_LATCHED
+        assert answer.problem.reason is RefusalReason.NOT_LATCHED
         run = await faulty.running()
         faulty.bench.cell.stop(StopRequest())
         await faulty.assert_latched(run, FaultCode.OPERATOR_STOP)
@@ -256,7 +256,7 @@ async def test_a_reset_leads_to_ready_moves_nothing_and_resumes_nothing(faulty_c
         await faulty.assert_latched(run, FaultCode.OPERATOR_STOP)
         refused = await bench.cell.start(StartRequest(recipe=RECIPE, seed=1))
         assert isinstance(refused, Refused)
-        assert (refused.problem.reason, refused.problem.code) == (Reason.LATCHED, FaultCode.OPERATOR_STOP)
+        assert (refused.problem.reason, refused.problem.code) == (RefusalReason.LATCHED, FaultCode.OPERATOR_STOP)
         before = faulty.driver.truth.tcp_position
         orders = len(faulty.driver.said("target")) + len(faulty.driver.said("engage"))
         wrong = await bench.cell.reset(ResetRequest(acknowledge=FaultCode.STALE))
@@ -294,7 +294,7 @@ async def test_a_reset_before_the_stop_is_confirmed_is_refused(faulty_cell: Faul
         faulty.bench.cell.stop(StopRequest())
         answer = await faulty.bench.cell.reset(ResetRequest())
         assert isinstance(answer, Refused)
-        assert answer.problem.reason is Reason.WRONG_STATE
+        assert answer.problem.reason is RefusalReason.WRONG_STATE
 
 
 async def test_status_tells_what_is_measured(simulated_cell: SimulatedCellFactory, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from service import messages
 from service.cell.control_plane import MAX_REQUEST_BYTES, ControlPlane
 from service.client import CellClient, CellRefusedError, CellSilentError
 from service.faults import FaultCode
-from service.messages import CellState, Reason, ResetRequest, RunsRequest, RunState, StartRequest, StopRequest
+from service.messages import CellState, RefusalReason, ResetRequest, RunsRequest, RunState, StartRequest, StopRequest
 from service.testing import RECIPE, Bench, cell_config, lockstep_cell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
@@ -66,13 +66,13 @@ async def test_a_refusal_carries_its_reason_and_the_field(tmp_path: Path) -> Non
     async with served(tmp_path, policies.still(tmp_path)) as (_, client):
         with pytest.raises(CellRefusedError) as refused:
             await client.start(StartRequest(recipe="nothing"))
-        assert (refused.value.problem.reason, refused.value.problem.field) == (Reason.UNKNOWN_RECIPE, "recipe")
+        assert (refused.value.problem.reason, refused.value.problem.field) == (RefusalReason.UNKNOWN_RECIPE, "recipe")
         with pytest.raises(CellRefusedError) as refused:
             await client.reset(ResetRequest())
-        assert refused.value.problem.reason is Reason.NOT_LATCHED
+        assert refused.value.problem.reason is RefusalReason.NOT_LATCHED
         with pytest.raises(CellRefusedError) as refused:
             await client.run("run-nowhere")
-        assert refused.value.problem.reason is Reason.UNKNOWN_RUN
+        assert refused.value.problem.reason is RefusalReason.UNKNOWN_RUN
 
 
 async def test_a_client_says_until_when_its_start_is_valid_and_the_cell_goes_by_it(tmp_path: Path) -> None:
@@ -80,7 +80,7 @@ async def test_a_client_says_until_when_its_start_is_valid_and_the_cell_goes_by_
         client._time_of_day = lambda: bench.cell.journal.time_of_day() - 60.0
         with pytest.raises(CellRefusedError) as refused:
             await client.start(StartRequest(recipe=RECIPE, seed=EASY), timeout_s=30.0)
-        assert refused.value.problem.reason is Reason.EXPIRED
+        assert refused.value.problem.reason is RefusalReason.EXPIRED
         assert bench.cell.state is CellState.READY
         assert (await client.start(StartRequest(recipe=RECIPE, seed=EASY), timeout_s=90.0)).created
 
@@ -94,7 +94,10 @@ async def test_a_stop_and_its_reset_over_the_wire(tmp_path: Path) -> None:
         await bench.state(CellState.LATCHED)
         with pytest.raises(CellRefusedError) as refused:
             await client.start(StartRequest(recipe=RECIPE))
-        assert (refused.value.problem.reason, refused.value.problem.code) == (Reason.LATCHED, FaultCode.OPERATOR_STOP)
+        assert (refused.value.problem.reason, refused.value.problem.code) == (
+            RefusalReason.LATCHED,
+            FaultCode.OPERATOR_STOP,
+        )
         assert (await client.reset(ResetRequest(acknowledge=FaultCode.OPERATOR_STOP))).state is CellState.READY
 
 
@@ -122,7 +125,7 @@ async def test_another_request_that_cannot_be_read_is_refused_and_changes_nothin
     async with served(tmp_path, policies.still(tmp_path)) as (bench, client):
         answer = messages.RUN_ANSWER.validate_json(await ask(client, messages.START, payload))
         assert answer.kind == "refused"
-        assert answer.problem.reason is Reason.INVALID_REQUEST
+        assert answer.problem.reason is RefusalReason.INVALID_REQUEST
         assert bench.cell.state is CellState.READY
 
 

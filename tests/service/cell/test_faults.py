@@ -13,7 +13,7 @@ from service.cell import watch
 from service.config import ClientLossSection
 from service.drivers.base import Program, Sample, StopReason
 from service.faults import FaultCode
-from service.messages import CellState, Reason, Refused, ResetRequest, RunState, StatusResult, StopRequest
+from service.messages import CellState, RefusalReason, Refused, ResetRequest, RunState, StatusResult, StopRequest
 from service.testing import cell_config, lockstep_cell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyBench, FaultyCell
@@ -114,7 +114,7 @@ async def test_11_samples_stop_stale_at_the_age_limit(faulty_cell: FaultyCell) -
         assert speed(faulty.driver.truth) < 2e-3, "it stands, though the cell cannot see it"
         answer = await faulty.bench.cell.reset(ResetRequest())
         assert isinstance(answer, Refused)
-        assert answer.problem.reason is Reason.NO_MEASUREMENT
+        assert answer.problem.reason is RefusalReason.NO_MEASUREMENT
 
 
 async def test_12_latency_jumps_to_100_ms_stale(faulty_cell: FaultyCell) -> None:
@@ -271,7 +271,7 @@ async def test_43_a_reset_while_the_force_is_above_the_limit_is_refused(faulty_c
         await faulty.bench.state(CellState.LATCHED)
         answer = await faulty.bench.cell.reset(ResetRequest())
         assert isinstance(answer, Refused)
-        assert answer.problem.reason is Reason.FORCE_ABOVE_LIMIT
+        assert answer.problem.reason is RefusalReason.FORCE_ABOVE_LIMIT
         assert faulty.bench.cell.state is CellState.LATCHED
         faulty.driver.spoil = lambda sample: [sample]
         await faulty.bench.let_pass(0.05)

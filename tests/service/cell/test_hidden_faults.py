@@ -22,7 +22,7 @@ from service.faults import FaultCode
 from service.messages import (
     CellState,
     Event,
-    Reason,
+    RefusalReason,
     Refused,
     ResetRequest,
     RunResult,
@@ -112,7 +112,7 @@ async def test_a_latch_that_cannot_be_written_is_shown_holds_and_is_written_late
         assert "state directory" in bench.cell.status().degradations[-1]
         answer = await bench.cell.reset(ResetRequest())
         assert isinstance(answer, Refused)
-        assert answer.problem.reason is Reason.STORAGE
+        assert answer.problem.reason is RefusalReason.STORAGE
         obstacle.rmdir()
         await asyncio.to_thread(bench.cell.journal._storage.submit(lambda: None).result, 5.0)
         assert FaultCode.OPERATOR_STOP in (faulty.state_dir / "latch.json").read_text()
@@ -359,7 +359,7 @@ async def test_a_start_that_the_disk_refused_leaves_no_run_behind(faulty_cell: F
         refused = await bench.cell.start(request)
         os.dup2(whole, ledger._file.fileno())
         assert isinstance(refused, Refused)
-        assert refused.problem.reason is Reason.STORAGE
+        assert refused.problem.reason is RefusalReason.STORAGE
         assert ledger.newest(10) == ()
         await asyncio.wait_for(asyncio.wrap_future(bench.cell.journal._storage.submit(lambda: None)), 5.0)
         accepted = await bench.cell.start(request)

@@ -6,7 +6,7 @@ import pytest
 from service.cell.latch import FILE_NAME, LatchFile
 from service.drivers.base import Sample
 from service.faults import FaultCode
-from service.messages import CellState, Latch, Reason, Refused, ResetRequest
+from service.messages import CellState, Latch, RefusalReason, Refused, ResetRequest
 from tests.service.cell.conftest import FaultyCell
 from tests.service.cell.faulty_driver import with_wrench
 
@@ -58,7 +58,7 @@ async def test_a_reset_while_the_torque_is_above_the_limit_is_refused(faulty_cel
         await faulty.bench.state(CellState.LATCHED)
         answer = await faulty.bench.cell.reset(ResetRequest())
         assert isinstance(answer, Refused)
-        assert answer.problem.reason is Reason.FORCE_ABOVE_LIMIT
+        assert answer.problem.reason is RefusalReason.FORCE_ABOVE_LIMIT
         assert "8.00 N·m are measured" in answer.problem.detail
 
 

@@ -19,7 +19,7 @@ from service.client import CellClient
 from service.drivers.base import Program
 from service.drivers.zenoh_sim import ZenohSimDriver
 from service.faults import FaultCode
-from service.messages import CellState, Reason, Refused, ResetRequest, RunResult, RunState, StartRequest
+from service.messages import CellState, RefusalReason, Refused, ResetRequest, RunResult, RunState, StartRequest
 from service.testing import RECIPE, cell_config
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
@@ -76,7 +76,7 @@ async def test_a_simulator_that_is_gone_or_frozen_latches_stale(tmp_path: Path, 
             assert (run.state, run.code) == (RunState.LATCHED, FaultCode.STALE)
             answer = await cell.reset(ResetRequest())
             assert isinstance(answer, Refused)
-            assert answer.problem.reason is Reason.NO_MEASUREMENT
+            assert answer.problem.reason is RefusalReason.NO_MEASUREMENT
             if number is signal.SIGSTOP:
                 simulator.send_signal(signal.SIGCONT)
                 await until(lambda: cell.status().measured is not None and not cell.unlinked.is_set())

@@ -1,4 +1,4 @@
-"""The camera and the stage over Zenoh, against an emulated controller's surroundings."""
+"""The camera and the world setup over Zenoh, against an emulated controller's surroundings."""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -10,7 +10,7 @@ import zenoh
 
 from service.drivers.base import DriverError
 from service.drivers.camera import ZenohCamera
-from service.drivers.stage import ZenohStage
+from service.drivers.world_setup import ZenohWorldSetup
 from service.faults import FaultCode
 from tests.service.sim_server import free_endpoint
 from wire import keys
@@ -115,18 +115,18 @@ async def laid_out_by(answer: Callable[[zenoh.Query], None]) -> object:
     endpoint = free_endpoint()
     with listening(endpoint) as session:
         session.declare_queryable(keys.RESET.format(world="w"), answer)
-        stage = ZenohStage("w", [endpoint])
-        await stage.open()
+        setup = ZenohWorldSetup("w", [endpoint])
+        await setup.open()
         try:
             for _ in range(50):
                 try:
-                    return await stage.lay_out(TASK)
+                    return await setup.lay_out(TASK)
                 except DriverError as error:
                     if error.code is not FaultCode.LINK:
                         raise
                     await asyncio.sleep(0.02)
         finally:
-            await stage.close()
+            await setup.close()
     raise AssertionError("nobody answered")
 
 
@@ -156,6 +156,6 @@ async def test_a_world_that_is_refused_or_answers_nonsense_is_a_driver_error(ans
     assert refused.value.code is FaultCode.PROTOCOL
 
 
-async def test_a_stage_that_was_not_opened_says_so() -> None:
+async def test_a_world_setup_that_was_not_opened_says_so() -> None:
     with pytest.raises(DriverError, match="not connected"):
-        await ZenohStage("w", ["tcp/127.0.0.1:1"]).lay_out(TASK)
+        await ZenohWorldSetup("w", ["tcp/127.0.0.1:1"]).lay_out(TASK)

@@ -4,7 +4,8 @@ from typing import Any
 import pytest
 
 from sim_backend.ur_controller import events
-from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.assembly import make_controller
+from sim_backend.ur_controller.outputs import Outputs
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.world.world import World
 
@@ -14,7 +15,8 @@ class Bench:
 
     def __init__(self) -> None:
         self.plant = Plant(World(1))
-        self.controller = Controller(self.plant)
+        self.controller = make_controller(self.plant)
+        self.outputs = Outputs(self.controller)
         self.heard: list[events.Event] = []
         self.controller.events.append(self.heard.append)
 
@@ -47,7 +49,7 @@ class Bench:
 
     def get(self, name: str) -> Any:
         """The present value of an RTDE output."""
-        return self.controller.output_getter(name)()
+        return self.outputs.getters[name]()
 
 
 @pytest.fixture

@@ -1,7 +1,8 @@
 """A controller with RTDE alone, for tests that let its time pass tick by tick."""
 
-from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.listener import Listener
+from sim_backend.ur_controller.outputs import Outputs
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.rtde_server import RtdeService
 from sim_backend.world.world import World
@@ -13,8 +14,9 @@ HOST = "127.0.0.22"
 class Bench:
     def __init__(self) -> None:
         self.now_s = 0.0
-        self.controller = Controller(Plant(World(1, "tr")))
-        self.service = RtdeService(self.controller)
+        self.controller = make_controller(Plant(World(1, "tr")))
+        self.outputs = Outputs(self.controller)
+        self.service = RtdeService(self.controller, self.outputs)
         self.loop = Listener(lambda: self.now_s)
         self.address = (HOST, self.loop.serve(self.service, HOST, 0))
         self.peers: list[Peer] = []

@@ -3,6 +3,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.dashboard_server import BANNER, LOG_CHARACTERS, NOT_REMOTE, DashboardService
 from sim_backend.ur_controller.listener import Listener
@@ -20,7 +21,7 @@ REMOTE_ONLY = (
 
 @pytest.fixture
 def controller() -> Controller:
-    controller = Controller(Plant(World(1, "tr")))
+    controller = make_controller(Plant(World(1, "tr")))
     controller.programs["wait.urp"] = WAIT
     return controller
 

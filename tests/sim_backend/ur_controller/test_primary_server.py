@@ -3,7 +3,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.outputs import Outputs
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
 from sim_backend.world.world import World
@@ -31,7 +33,7 @@ WAIT = b"def wait():\n  while True:\n    sync()\n  end\nend\n"
 
 @pytest.fixture
 def controller() -> Controller:
-    return Controller(Plant(World(1, "tr")))
+    return make_controller(Plant(World(1, "tr")))
 
 
 @pytest.fixture
@@ -194,7 +196,7 @@ def test_a_secondary_program_runs_beside_the_main_one(primary: Client, controlle
     primary.send(WAIT, b"sec io():\n  set_standard_digital_out(2, True)\nend\n")
     primary.run(0.2)
 
-    assert controller.output_getter("actual_digital_output_bits")() & 0b100
+    assert Outputs(controller).getters["actual_digital_output_bits"]() & 0b100
     assert primary.mode.is_program_running
     masterboard = primary.states[-1][state.Masterboard]
     assert isinstance(masterboard, state.Masterboard)

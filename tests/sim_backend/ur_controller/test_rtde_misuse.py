@@ -94,7 +94,7 @@ def test_a_data_package_that_does_not_fit_its_recipe_is_ignored(bench: Bench) ->
     assert not peer.is_dropped()
     for _ in range(10):  # inputs have a latency
         bench.tick()
-    assert bench.controller.output_getter("input_int_register_24")() == 7
+    assert bench.outputs.getters["input_int_register_24"]() == 7
 
 
 @settings(max_examples=150)

@@ -6,6 +6,7 @@ from dataclasses import asdict
 
 import pytest
 
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.listener import ListenError
 from sim_backend.ur_controller.plant import Plant
@@ -18,7 +19,7 @@ HOST = "127.0.0.22"
 
 @pytest.fixture
 def controller() -> Controller:
-    return Controller(Plant(World(1, "tr")))
+    return make_controller(Plant(World(1, "tr")))
 
 
 @pytest.fixture
@@ -159,7 +160,7 @@ def test_whatever_surrounds_the_arm_is_stepped_after_every_tick(server: Controll
                 raise SystemExit
             return True
 
-    stage = ThreeTicks()
+    companion = ThreeTicks()
     with pytest.raises(SystemExit):
-        server.run(stage)
-    assert stage.seen == [1, 2, 3]
+        server.run(companion)
+    assert companion.seen == [1, 2, 3]

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sim_backend.requests import RequestError
 from sim_backend.zenoh_cell import answers
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire import records as wire
@@ -44,7 +45,7 @@ def test_advance_answers_one_state_per_tick() -> None:
 )
 def test_a_number_of_ticks_that_makes_no_sense_is_refused_and_changes_nothing(parameters: str) -> None:
     before = snapshot()
-    with pytest.raises(answers.RequestError, match="ticks=N with N from 1 to 5000"):
+    with pytest.raises(RequestError, match="ticks=N with N from 1 to 5000"):
         answers.advance(CELL, parameters, command(wire.Kind.STOP).tobytes())
     assert snapshot() == before
 
@@ -52,7 +53,7 @@ def test_a_number_of_ticks_that_makes_no_sense_is_refused_and_changes_nothing(pa
 def test_one_bad_command_among_good_ones_stops_them_all() -> None:
     before = snapshot()
     good, bad = command(wire.Kind.STOP), command(wire.Kind.STOP, version=wire.VERSION + 1)
-    with pytest.raises(answers.RequestError, match=f"schema version {wire.VERSION + 1}"):
+    with pytest.raises(RequestError, match=f"schema version {wire.VERSION + 1}"):
         answers.advance(CELL, "ticks=1", good.tobytes() + bad.tobytes())
     assert snapshot() == before
 
@@ -95,7 +96,7 @@ def test_more_commands_than_one_message_may_hold_are_refused() -> None:
 )
 def test_a_task_that_no_world_can_be_built_from_is_named_and_changes_nothing(document: str, named: str) -> None:
     before = snapshot()
-    with pytest.raises(answers.RequestError, match=named):
+    with pytest.raises(RequestError, match=named):
         answers.reset(CELL, document.encode())
     assert snapshot() == before
 
@@ -123,7 +124,7 @@ def test_no_bytes_break_the_answers(parameters: str, payload: bytes) -> None:
         lambda: answers.advance(CELL, "ticks=1", payload),
         lambda: answers.reset(CELL, payload),
     ):
-        with contextlib.suppress(answers.RequestError):
+        with contextlib.suppress(RequestError):
             wire.decode(answer(), wire.STATE)
 
 
@@ -163,7 +164,7 @@ def test_no_content_of_commands_breaks_the_world(commands: list[np.ndarray]) -> 
     )
 )
 def test_no_task_breaks_the_world(document: dict[str, object]) -> None:
-    with contextlib.suppress(answers.RequestError):
+    with contextlib.suppress(RequestError):
         answers.reset(CELL, json.dumps(document).encode())
     state = wire.decode(answers.advance(CELL, "ticks=1", b""), wire.STATE)
     assert np.isfinite(state["tcp_position"]).all()

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wire.primary.errors import PrimaryError, Reason
+from wire.primary.errors import PrimaryError, PrimaryErrorReason
 from wire.primary.packages import LIMIT, PackageReader, PackageType, frame
 
 CONTENTS = st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=40)), max_size=6)
@@ -36,4 +36,4 @@ def test_a_size_that_no_package_has_ends_the_stream(size: int) -> None:
     assert next(found) == (20, b"good")
     with pytest.raises(PrimaryError, match="claims") as raised:
         next(found)
-    assert raised.value.reason is Reason.FRAMING
+    assert raised.value.reason is PrimaryErrorReason.FRAMING

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wire.primary import realtime, state
-from wire.primary.errors import PrimaryError, Reason
+from wire.primary.errors import PrimaryError, PrimaryErrorReason
 
 REAL = st.floats(allow_nan=False)
 REAL32 = st.floats(allow_nan=False, width=32)
@@ -111,7 +111,7 @@ def test_any_bytes_are_a_state_or_malformed(content: bytes) -> None:
 def test_a_part_that_claims_another_size_is_malformed(size: int) -> None:
     with pytest.raises(PrimaryError, match=r"sub-package 12|ToolMode") as raised:
         state.decode_state(struct.pack(">IB", size, 12) + b"abc")
-    assert raised.value.reason is Reason.MALFORMED
+    assert raised.value.reason is PrimaryErrorReason.MALFORMED
 
 
 def test_the_real_time_package_has_1220_bytes_and_its_values_in_their_places() -> None:

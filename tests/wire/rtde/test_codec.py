@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wire.rtde.codec import HEADER_SIZE, SIZE_LIMIT, FrameReader, PackageType, Recipe, frame
-from wire.rtde.errors import FramingError, PackageError, Reason
+from wire.rtde.errors import FramingError, PackageError, RtdeErrorReason
 from wire.rtde.fields import OUTPUTS, FieldType
 
 INTEGERS = {"B": (0, 2**8 - 1), "I": (0, 2**32 - 1), "Q": (0, 2**64 - 1), "i": (-(2**31), 2**31 - 1)}
@@ -88,7 +88,7 @@ def test_a_value_that_does_not_fit_is_named(values: Any, told: str) -> None:
     recipe = Recipe(["speed", "pose", "mask"], [FieldType.INT32, FieldType.VECTOR6D, FieldType.UINT8], 2)
     with pytest.raises(PackageError, match=told) as caught:
         recipe.encode(values)
-    assert caught.value.reason is Reason.WRONG_VALUE
+    assert caught.value.reason is RtdeErrorReason.WRONG_VALUE
 
 
 def test_vectors_of_wrong_lengths_do_not_make_up_for_each_other() -> None:
@@ -100,9 +100,9 @@ def test_vectors_of_wrong_lengths_do_not_make_up_for_each_other() -> None:
 def test_a_package_of_another_recipe_or_length_is_refused() -> None:
     recipe = Recipe(["a"], [FieldType.INT32], 2)
     for payload, reason in (
-        (b"\x01\0\0\0\0", Reason.WRONG_RECIPE),
-        (b"\x02\0\0\0", Reason.MALFORMED),
-        (b"", Reason.MALFORMED),
+        (b"\x01\0\0\0\0", RtdeErrorReason.WRONG_RECIPE),
+        (b"\x02\0\0\0", RtdeErrorReason.MALFORMED),
+        (b"", RtdeErrorReason.MALFORMED),
     ):
         with pytest.raises(PackageError) as caught:
             recipe.decode(payload)

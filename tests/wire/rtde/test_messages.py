@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wire.rtde.codec import FrameReader, PackageType
-from wire.rtde.errors import PackageError, Reason, SetupError
+from wire.rtde.errors import PackageError, RtdeErrorReason, SetupError
 from wire.rtde.fields import FieldType
 from wire.rtde.messages import (
     NAMES_LIMIT,
@@ -114,7 +114,11 @@ def test_a_refused_set_up_names_every_variable_and_why() -> None:
     reply = SetupReply(("DOUBLE", "IN_USE", "NOT_FOUND", "IN_USE"), 0)
     with pytest.raises(SetupError) as caught:
         reply.recipe(["a", "b", "c", "d"])
-    assert caught.value.refused == {"b": Reason.IN_USE, "c": Reason.NOT_FOUND, "d": Reason.IN_USE}
+    assert caught.value.refused == {
+        "b": RtdeErrorReason.IN_USE,
+        "c": RtdeErrorReason.NOT_FOUND,
+        "d": RtdeErrorReason.IN_USE,
+    }
     assert "in use by another client or a field bus: b, d" in str(caught.value)
     assert "not known to the controller: c" in str(caught.value)
 

@@ -19,11 +19,13 @@ from service.cell.process import standing
 from service.config import CellConfig
 from service.drivers.base import Driver, Sample
 from service.drivers.sim_wire import check_task
-from service.drivers.stage import LaidOut
 from service.drivers.ur.driver import UrDriver
+from service.drivers.world_setup import LaidOut
 from service.faults import FaultCode
 from service.testing import Bench
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.outputs import Outputs
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
 from sim_backend.world.world import World
@@ -36,7 +38,7 @@ DELIVERY_S = 2.0
 """Host time in which a package crosses this machine's loopback, however busy it is."""
 
 
-class PlantStage:
+class PlantWorldSetup:
     """Lays the plant out directly, and is the camera that looks at it."""
 
     def __init__(self, controller: Controller) -> None:
@@ -92,7 +94,7 @@ class Emulated:
         self.faults.append((code, text))
 
     def output(self, name: str) -> Any:
-        return self.controller.output_getter(name)()
+        return Outputs(self.controller).getters[name]()
 
     async def pass_time(self, seconds: float) -> None:
         until = self.controller.time_s + seconds
@@ -137,7 +139,7 @@ async def emulated(
     """
     config = config or ur_config()
     plant = Plant(World(1, "tr"))
-    controller = Controller(plant)
+    controller = make_controller(plant)
     prepare(controller)
     server = ControllerServer(controller, host, ANY_PORTS)
     ports = server.ports
@@ -153,8 +155,8 @@ async def emulated(
         }
     )
     config = config.model_copy(update={"ur": ur})
-    stage = PlantStage(controller)
-    driver = UrDriver(config, mode="lockstep", camera=stage, stage=stage)
+    world_setup = PlantWorldSetup(controller)
+    driver = UrDriver(config, mode="lockstep", camera=world_setup, world_setup=world_setup)
     bench = Emulated(controller, server, driver, config, proxy=proxy)
     ticking = asyncio.create_task(bench.let_time_pass(), name="ticks")
     try:

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncGenerator
 
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer, Ports
@@ -15,7 +16,7 @@ HOST = "127.0.0.25"
 @contextlib.asynccontextmanager
 async def stepped_controller() -> AsyncGenerator[tuple[Controller, Ports]]:
     """A controller and the ports that it listens at, on `HOST`."""
-    controller = Controller(Plant(World(1, "tr")))
+    controller = make_controller(Plant(World(1, "tr")))
     server = ControllerServer(controller, HOST, ANY_PORTS)
 
     async def step() -> None:

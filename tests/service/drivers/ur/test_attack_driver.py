@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from service.drivers.base import DriverError, Program, StopReason
-from service.drivers.stage import LaidOut
 from service.drivers.ur import recovery, registers
 from service.drivers.ur.registers import Command
+from service.drivers.world_setup import LaidOut
 from service.faults import FaultCode
 from sim_backend.ur_controller.controller import Controller
 from tests.service.drivers.ur.cells import ur_config
@@ -269,19 +269,19 @@ async def test_an_unlocked_arm_has_no_program_that_could_go_on() -> None:
 
 
 async def test_a_world_of_another_controller_is_not_this_arm_s() -> None:
-    """`simulated` with the address of a real arm: the stage lays out a world that the arm is not in."""
+    """`simulated` with the address of a real arm: the world setup lays out a world that the arm is not in."""
     async with emulated() as arm:
         await arm.driver.connect(arm)
         await arm.pass_time(0.5)
-        stage = arm.driver._stage
-        assert stage is not None
-        lay_out = stage.lay_out
+        world_setup = arm.driver._world_setup
+        assert world_setup is not None
+        lay_out = world_setup.lay_out
 
         async def of_another(task) -> LaidOut:
             laid_out = await lay_out(task)
             return LaidOut(laid_out.episode, laid_out.time_s - 30.0)
 
-        stage.lay_out = of_another  # type: ignore[method-assign]
+        world_setup.lay_out = of_another  # type: ignore[method-assign]
         with pytest.raises(DriverError, match="another"):
             await arm.driver.prepare(TASK)
 

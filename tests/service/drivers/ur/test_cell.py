@@ -10,7 +10,16 @@ import pytest
 
 from service.drivers.base import Program
 from service.faults import FaultCode
-from service.messages import CellState, Problem, Reason, Refused, ResetRequest, RunState, StatusResult, StopRequest
+from service.messages import (
+    CellState,
+    Problem,
+    RefusalReason,
+    Refused,
+    ResetRequest,
+    RunState,
+    StatusResult,
+    StopRequest,
+)
 from service.testing import Bench, cell_config, lockstep_cell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
@@ -105,7 +114,7 @@ async def test_a_protective_stop_is_released_by_the_operator_s_reset_and_the_cel
         assert controller.safety_mode is SafetyMode.PROTECTIVE_STOP, "nothing recovers by itself"
         refused = await acknowledged(bench)
         assert refused is not None
-        assert refused.reason is Reason.WRONG_STATE
+        assert refused.reason is RefusalReason.WRONG_STATE
         await bench.until(lambda: controller.safety_mode is SafetyMode.NORMAL, 2.0)
         await bench.let_pass(0.1)
         assert await acknowledged(bench) is None

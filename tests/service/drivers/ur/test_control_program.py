@@ -10,7 +10,7 @@ import pytest
 from service.drivers.ur import registers
 from service.drivers.ur.program import RETRACT_SPEED_M_S, STOP_S, render
 from service.drivers.ur.registers import Command
-from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.events import Event
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.world import quaternion
@@ -32,7 +32,7 @@ class Arm:
     def __init__(self, *, ur: dict[str, Any] | None = None, limits: dict[str, Any] | None = None) -> None:
         self.plant = Plant(World(1, "tr"))
         self.plant.lay_out(Task(3, conditions="easy"))
-        self.controller = Controller(self.plant)
+        self.controller = make_controller(self.plant)
         self.events: list[Event] = []
         self.controller.events.append(self.events.append)
         self.program = render(ur_config(ur=ur, limits=limits))

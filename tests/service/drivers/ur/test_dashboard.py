@@ -4,7 +4,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
 
-from service.drivers.ur.dashboard import DashboardClient, DashboardError, Reason
+from service.drivers.ur.dashboard import DashboardClient, DashboardError, DashboardErrorReason
 from sim_backend.ur_controller.controller import Controller
 from tests.fault_proxy import FaultProxy, chunked
 from tests.service.drivers.ur.stepped import HOST, stepped_controller
@@ -38,7 +38,7 @@ async def test_a_mode_that_is_not_reached_is_named(robot: Robot) -> None:
     with pytest.raises(DashboardError, match="stayed in RUNNING for 0 s instead of reaching IDLE") as raised:
         await dashboard.wait_for_robot_mode("IDLE", timeout_s=0.0)
 
-    assert raised.value.reason is Reason.TIMEOUT
+    assert raised.value.reason is DashboardErrorReason.TIMEOUT
     assert await dashboard.robot_mode() == "RUNNING"
 
 
@@ -48,7 +48,7 @@ async def test_a_protective_stop_is_unlocked_once_it_is_5_s_old(robot: Robot) ->
     assert await dashboard.safety_status() == "PROTECTIVE_STOP"
     with pytest.raises(DashboardError, match="5 s after it occurred") as raised:
         await dashboard.unlock_protective_stop()
-    assert raised.value.reason is Reason.TOO_EARLY
+    assert raised.value.reason is DashboardErrorReason.TOO_EARLY
     assert controller.safety_mode is SafetyMode.PROTECTIVE_STOP
 
     until_s = controller.time_s + 5.0
@@ -96,7 +96,7 @@ async def test_a_refusal_has_the_controller_s_words(
     with pytest.raises(DashboardError, match=reply) as raised:
         await order(robot[1])
 
-    assert (raised.value.reason, raised.value.reply) == (Reason.REFUSED, reply)
+    assert (raised.value.reason, raised.value.reply) == (DashboardErrorReason.REFUSED, reply)
     assert await robot[1].robot_mode() == "RUNNING"
 
 
@@ -106,7 +106,7 @@ async def test_local_control_is_told_and_needs_another_connection(robot: Robot) 
     assert not await dashboard.is_in_remote_control()
     with pytest.raises(DashboardError, match="switch it on the pendant, then connect again") as raised:
         await dashboard.power_off()
-    assert raised.value.reason is Reason.NOT_REMOTE
+    assert raised.value.reason is DashboardErrorReason.NOT_REMOTE
     assert controller.robot_mode is RobotMode.RUNNING
 
     controller.remote_control = True
@@ -166,19 +166,19 @@ async def test_no_server_is_named() -> None:
     with pytest.raises(DashboardError, match=r"cannot reach the dashboard server at 127\.0\.0\.25:9") as raised:
         await DashboardClient(HOST, 9).connect()
 
-    assert raised.value.reason is Reason.UNREACHABLE
+    assert raised.value.reason is DashboardErrorReason.UNREACHABLE
 
 
 @pytest.mark.parametrize(
     ("spoken", "reason"),
     [
-        (b"SSH-2.0-OpenSSH\n", Reason.UNREACHABLE),
-        (b"", Reason.LOST),
-        (b"half a gree", Reason.LOST),
-        (b"x" * 100_000, Reason.LOST),
+        (b"SSH-2.0-OpenSSH\n", DashboardErrorReason.UNREACHABLE),
+        (b"", DashboardErrorReason.LOST),
+        (b"half a gree", DashboardErrorReason.LOST),
+        (b"x" * 100_000, DashboardErrorReason.LOST),
     ],
 )
-async def test_what_is_no_dashboard_server_is_not_connected_to(spoken: bytes, reason: Reason) -> None:
+async def test_what_is_no_dashboard_server_is_not_connected_to(spoken: bytes, reason: DashboardErrorReason) -> None:
     async def speak(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.write(spoken)
         writer.close()
@@ -204,7 +204,7 @@ async def test_a_silent_server_ends_the_connection() -> None:
         with pytest.raises(DashboardError, match="not answered within") as raised:
             await client.robot_mode()
 
-    assert raised.value.reason is Reason.TIMEOUT
+    assert raised.value.reason is DashboardErrorReason.TIMEOUT
     assert not client.is_connected
 
 
@@ -226,7 +226,7 @@ async def test_a_connection_that_is_reset_is_lost_and_can_be_made_again() -> Non
         await proxy.reset()
         with pytest.raises(DashboardError) as raised:
             await dashboard.robot_mode()
-        assert raised.value.reason is Reason.LOST
+        assert raised.value.reason is DashboardErrorReason.LOST
 
         await dashboard.connect()
         assert await dashboard.robot_mode() == "RUNNING"
@@ -241,7 +241,7 @@ async def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
         proxy.to_client.stall()
         with pytest.raises(DashboardError) as raised:
             await dashboard.robot_mode()
-        assert raised.value.reason is Reason.TIMEOUT
+        assert raised.value.reason is DashboardErrorReason.TIMEOUT
 
         proxy.to_client.resume()
         await dashboard.connect()

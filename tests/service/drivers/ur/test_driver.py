@@ -242,8 +242,8 @@ async def test_a_world_that_somebody_else_lays_out_is_a_fault_of_the_source() ->
         await arm.driver.prepare(TASK)
         await arm.pass_time(0.05)
         assert arm.faults == []
-        assert arm.driver._stage is not None
-        await arm.driver._stage.lay_out(TASK)
+        assert arm.driver._world_setup is not None
+        await arm.driver._world_setup.lay_out(TASK)
         await arm.pass_time(0.02)
         assert [code for code, _ in arm.faults] == [FaultCode.SOURCE]
 

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from service.drivers.ur.gripper import Detection, Gripper, GripperError, Reason
+from service.drivers.ur.gripper import Detection, Gripper, GripperError, GripperErrorReason
 from sim_backend.ur_controller import gripper_server
 from sim_backend.ur_controller.gripper_server import GripperService
 from sim_backend.ur_controller.listener import Listener
@@ -74,7 +74,7 @@ async def test_it_must_be_activated_before_it_moves() -> None:
     async with served(gripper_server.Gripper(None, is_active=False)) as gripper:
         with pytest.raises(GripperError, match="activate it") as raised:
             await gripper.open()
-        assert raised.value.reason is Reason.NOT_ACTIVE
+        assert raised.value.reason is GripperErrorReason.NOT_ACTIVE
 
         assert (await gripper.activate()).is_active
         assert (await gripper.move(20.0)).opening_mm == pytest.approx(20.0, abs=0.2)
@@ -86,7 +86,7 @@ async def test_a_released_gripper_says_so() -> None:
         mechanism.set("ATR", 1)
         with pytest.raises(GripperError, match=r"fault 1[15]") as raised:
             await gripper.close()
-        assert raised.value.reason is Reason.FAULT
+        assert raised.value.reason is GripperErrorReason.FAULT
         assert (await gripper.activate()).fault == 0
 
 
@@ -116,7 +116,7 @@ async def test_a_server_that_goes_is_named() -> None:
         async with Gripper(HOST, port) as gripper:
             with pytest.raises(GripperError, match="connection broke") as raised:
                 await gripper.status()
-    assert raised.value.reason is Reason.LOST
+    assert raised.value.reason is GripperErrorReason.LOST
 
 
 async def test_a_connection_that_is_reset_is_lost_and_can_be_made_again() -> None:
@@ -127,7 +127,7 @@ async def test_a_connection_that_is_reset_is_lost_and_can_be_made_again() -> Non
             await proxy.reset()
             with pytest.raises(GripperError) as raised:
                 await gripper.status()
-            assert raised.value.reason is Reason.LOST
+            assert raised.value.reason is GripperErrorReason.LOST
 
             await gripper.connect()
             assert (await gripper.status()).opening_mm == 85.0

@@ -11,7 +11,7 @@ from tests.fault_proxy import FaultProxy, Spoil, chunked, halved, untouched
 from tests.service.drivers.ur.rtde_listener import INPUT_NAMES, OUTPUT_NAMES, Listener, flowing, start, until
 from tests.service.drivers.ur.rtde_responder import VERSION, RtdeResponder
 from wire.rtde.codec import PackageType
-from wire.rtde.errors import PackageError, Reason, SetupError
+from wire.rtde.errors import PackageError, RtdeErrorReason, SetupError
 from wire.rtde.messages import Level, TextMessage
 
 
@@ -98,12 +98,12 @@ async def test_refused_variables_are_named_with_their_reason(robot: RtdeResponde
     await client.connect()
     with pytest.raises(SetupError, match="speed_slider_mask") as caught:
         await client.setup(OUTPUT_NAMES, 500.0, INPUT_NAMES)
-    assert caught.value.refused == {"speed_slider_mask": Reason.IN_USE}
-    assert caught.value.reason is Reason.IN_USE
+    assert caught.value.refused == {"speed_slider_mask": RtdeErrorReason.IN_USE}
+    assert caught.value.reason is RtdeErrorReason.IN_USE
     await client.connect()
     with pytest.raises(SetupError, match="actual_w") as caught:
         await client.setup(["timestamp", "actual_w", "actual_q", "actual_v"], 500.0)
-    assert caught.value.refused == {"actual_w": Reason.NOT_FOUND, "actual_v": Reason.NOT_FOUND}
+    assert caught.value.refused == {"actual_w": RtdeErrorReason.NOT_FOUND, "actual_v": RtdeErrorReason.NOT_FOUND}
     await until(lambda: not robot.clients)
 
 
@@ -133,7 +133,7 @@ async def test_a_step_without_an_answer_ends_in_time_and_says_which(
     client = listener.client(robot.host, robot.port, timeout_s=0.05)
     with pytest.raises(LinkError, match=step.name) as caught:
         await flowing(client, robot)
-    assert caught.value.reason is Reason.TIMEOUT
+    assert caught.value.reason is RtdeErrorReason.TIMEOUT
     assert not client.ready
     assert listener.lost == []
     await until(lambda: not robot.clients)
@@ -145,7 +145,7 @@ async def test_a_start_without_data_is_an_error(robot: RtdeResponder, listener: 
     await client.setup(OUTPUT_NAMES, 500.0)
     with pytest.raises(LinkError, match="DATA") as caught:
         await client.start()
-    assert caught.value.reason is Reason.TIMEOUT
+    assert caught.value.reason is RtdeErrorReason.TIMEOUT
     assert not client.ready
 
 
@@ -154,13 +154,13 @@ async def test_a_controller_that_says_no_is_heard(robot: RtdeResponder, listener
     robot.speaks = False
     with pytest.raises(LinkError, match="version 2") as caught:
         await client.connect()
-    assert caught.value.reason is Reason.REFUSED
+    assert caught.value.reason is RtdeErrorReason.REFUSED
     robot.speaks, robot.starts = True, False
     await client.connect()
     await client.setup(OUTPUT_NAMES, 500.0)
     with pytest.raises(LinkError, match="start") as caught:
         await client.start()
-    assert caught.value.reason is Reason.REFUSED
+    assert caught.value.reason is RtdeErrorReason.REFUSED
 
 
 async def test_nobody_there_is_unreachable_and_says_where(listener: Listener) -> None:
@@ -168,7 +168,7 @@ async def test_nobody_there_is_unreachable_and_says_where(listener: Listener) ->
         pass
     with pytest.raises(LinkError, match=f"{gone.host}:{gone.port}") as caught:
         await listener.client(gone.host, gone.port).connect()
-    assert caught.value.reason is Reason.UNREACHABLE
+    assert caught.value.reason is RtdeErrorReason.UNREACHABLE
     with pytest.raises(LinkError, match="connect first"):
         await listener.client(gone.host, gone.port).start()
 
@@ -180,7 +180,7 @@ async def test_a_controller_that_does_not_take_the_connection_ends_it_in_time(li
         pytest.raises(LinkError, match=r"no connection in 0\.05 s") as caught,
     ):
         await listener.client(*full.getsockname(), timeout_s=0.05).connect()
-    assert caught.value.reason is Reason.TIMEOUT
+    assert caught.value.reason is RtdeErrorReason.TIMEOUT
 
 
 async def test_a_name_with_several_addresses_is_tried_at_each(listener: Listener) -> None:
@@ -199,7 +199,7 @@ async def test_a_loss_in_the_middle_of_the_set_up_is_told_at_once(robot: RtdeRes
     robot.hang_up()
     with pytest.raises(LinkError) as caught:
         await setting_up
-    assert caught.value.reason is Reason.CLOSED
+    assert caught.value.reason is RtdeErrorReason.CLOSED
     assert listener.lost == []
 
 

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from service.drivers.ur.rtde import RtdeClient
-from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
 from sim_backend.world.world import World
 from tests.fault_proxy import FaultProxy, chunked, garbled
-from wire.rtde.errors import Reason, RtdeError, SetupError
+from wire.rtde.errors import RtdeError, RtdeErrorReason, SetupError
 from wire.rtde.fields import INPUTS, OUTPUTS, SINCE
 
 HOST = "127.0.0.23"
@@ -26,7 +26,7 @@ class Robot:
     """An emulated controller whose time passes as long as a test waits for something."""
 
     def __init__(self) -> None:
-        self.controller = Controller(Plant(World(1, "tr")))
+        self.controller = make_controller(Plant(World(1, "tr")))
         self.server = ControllerServer(self.controller, HOST, ANY_PORTS)
         self.clients: list[RtdeClient] = []
         self.packages: list[tuple[Any, ...]] = []
@@ -100,7 +100,7 @@ async def test_every_variable_of_its_version_can_be_had_and_no_newer_one(robot: 
     assert newer
     with pytest.raises(SetupError) as caught:
         await connected(robot.client(), ["timestamp", *newer])
-    assert caught.value.refused == dict.fromkeys(newer, Reason.NOT_FOUND)
+    assert caught.value.refused == dict.fromkeys(newer, RtdeErrorReason.NOT_FOUND)
 
 
 async def test_inputs_reach_the_controller_and_can_be_read_back(robot: Robot) -> None:
@@ -121,7 +121,7 @@ async def test_a_variable_that_another_client_holds_is_named_until_it_leaves(rob
     second = robot.client()
     with pytest.raises(SetupError) as caught:
         await connected(second, ["timestamp"], inputs=[["input_int_register_25"], ["input_int_register_26", *held]])
-    assert caught.value.refused == dict.fromkeys(held, Reason.IN_USE)
+    assert caught.value.refused == dict.fromkeys(held, RtdeErrorReason.IN_USE)
     await first.close()
     await connected(second, ["timestamp"], inputs=[held])
     assert second.ready

@@ -9,21 +9,21 @@ from tests.fault_proxy import FaultProxy, duplicated, garbled, reordered, untouc
 from tests.service.drivers.ur.rtde_listener import INPUT_NAMES, OUTPUT_NAMES, Listener, flowing, start, until
 from tests.service.drivers.ur.rtde_responder import RtdeResponder
 from wire.rtde.codec import PackageType, Recipe, frame
-from wire.rtde.errors import FramingError, PackageError, Reason, RtdeError
+from wire.rtde.errors import FramingError, PackageError, RtdeError, RtdeErrorReason
 from wire.rtde.fields import OUTPUTS
 
 FAULTS = {
-    Reason.UNKNOWN_PACKAGE: frame(37, b"?"),
-    Reason.UNEXPECTED: frame(PackageType.START, b"\x01"),
-    Reason.WRONG_RECIPE: frame(PackageType.DATA, b"\x02" + bytes(117)),
-    Reason.MALFORMED: frame(PackageType.DATA, b"\x01" + bytes(3)),
-    Reason.FRAMING: b"\x00\x02U",
+    RtdeErrorReason.UNKNOWN_PACKAGE: frame(37, b"?"),
+    RtdeErrorReason.UNEXPECTED: frame(PackageType.START, b"\x01"),
+    RtdeErrorReason.WRONG_RECIPE: frame(PackageType.DATA, b"\x02" + bytes(117)),
+    RtdeErrorReason.MALFORMED: frame(PackageType.DATA, b"\x01" + bytes(3)),
+    RtdeErrorReason.FRAMING: b"\x00\x02U",
 }
 
 
 @pytest.mark.parametrize("reason", FAULTS)
 async def test_a_breach_of_the_protocol_ends_the_link_and_is_told_once(
-    robot: RtdeResponder, listener: Listener, reason: Reason
+    robot: RtdeResponder, listener: Listener, reason: RtdeErrorReason
 ) -> None:
     client = await flowing(listener.client(robot.host, robot.port), robot)
     robot.tick()
@@ -43,7 +43,7 @@ async def test_a_timestamp_that_is_no_number_ends_the_link(robot: RtdeResponder,
     robot.time_s = float("nan")
     robot.tick()
     await until(lambda: listener.lost)
-    assert listener.lost[0].reason is Reason.MALFORMED
+    assert listener.lost[0].reason is RtdeErrorReason.MALFORMED
 
 
 async def test_data_before_a_recipe_are_a_fault(robot: RtdeResponder, listener: Listener) -> None:
@@ -61,7 +61,7 @@ async def test_after_a_loss_it_connects_again_and_is_not_ready_before_data_flow(
     client = await flowing(listener.client(proxy.host, proxy.port), robot)
     await proxy.reset()
     await until(lambda: listener.lost)
-    assert listener.lost[0].reason is Reason.CLOSED
+    assert listener.lost[0].reason is RtdeErrorReason.CLOSED
     assert not client.ready
     assert not client.send(0, (1, 1.0))
     proxy.accepting = False
@@ -83,7 +83,7 @@ async def test_a_controller_that_hangs_up_is_a_loss(robot: RtdeResponder, listen
     await flowing(listener.client(robot.host, robot.port), robot)
     robot.hang_up()
     await until(lambda: listener.lost)
-    assert listener.lost[0].reason is Reason.CLOSED
+    assert listener.lost[0].reason is RtdeErrorReason.CLOSED
 
 
 async def test_a_black_hole_is_a_loss_after_the_silence_that_is_allowed(
@@ -96,7 +96,7 @@ async def test_a_black_hole_is_a_loss_after_the_silence_that_is_allowed(
     assert client.ready
     proxy.to_client.stall()
     await until(lambda: listener.lost)
-    assert listener.lost[0].reason is Reason.TIMEOUT
+    assert listener.lost[0].reason is RtdeErrorReason.TIMEOUT
     assert not client.ready
 
 
@@ -110,7 +110,7 @@ async def test_inputs_arrive_with_their_recipe(robot: RtdeResponder, listener: L
     assert client.dropped == 0
     with pytest.raises(PackageError, match="input_int_register_24") as caught:
         client.send(0, (2**31, 0.0))
-    assert caught.value.reason is Reason.WRONG_VALUE
+    assert caught.value.reason is RtdeErrorReason.WRONG_VALUE
     await client.close()
 
 
@@ -154,7 +154,7 @@ async def test_sending_while_the_link_breaks_is_no_error(robot: RtdeResponder, l
         while not listener.lost:
             client.send(0, (1, 1.0))
             await asyncio.sleep(0)
-    assert [error.reason for error in listener.lost] == [Reason.CLOSED]
+    assert [error.reason for error in listener.lost] == [RtdeErrorReason.CLOSED]
     assert not client.send(0, (1, 1.0))
 
 

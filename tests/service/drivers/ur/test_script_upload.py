@@ -4,7 +4,7 @@ from collections.abc import AsyncIterator, Callable
 
 import pytest
 
-from service.drivers.ur.script_upload import Reason, UploadError, upload
+from service.drivers.ur.script_upload import UploadError, UploadErrorReason, upload
 from sim_backend.ur_controller.controller import Controller
 from tests.fault_proxy import FaultProxy, Spoil, chunked, halved
 from tests.service.drivers.ur.stepped import HOST, stepped_controller
@@ -57,7 +57,7 @@ async def test_an_unknown_name_has_its_line_in_the_given_text(robot: Robot) -> N
     with pytest.raises(UploadError, match="line 4, column 3: compile_error_name_not_found:nothing_there:") as raised:
         await upload(HOST, port, text)
 
-    assert (raised.value.reason, raised.value.line, raised.value.column) == (Reason.SCRIPT, 4, 3)
+    assert (raised.value.reason, raised.value.line, raised.value.column) == (UploadErrorReason.SCRIPT, 4, 3)
     assert controller.runtime_state is RuntimeState.STOPPED
 
 
@@ -65,7 +65,7 @@ async def test_a_syntax_error_has_its_line(robot: Robot) -> None:
     with pytest.raises(UploadError) as raised:
         await upload(HOST, robot[1], "def bad():\n  x = = 1\nend\n")
 
-    assert (raised.value.reason, raised.value.line) == (Reason.SCRIPT, 2)
+    assert (raised.value.reason, raised.value.line) == (UploadErrorReason.SCRIPT, 2)
 
 
 async def test_local_control_is_told(robot: Robot) -> None:
@@ -74,7 +74,7 @@ async def test_local_control_is_told(robot: Robot) -> None:
     with pytest.raises(UploadError, match="switch the robot to remote control") as raised:
         await upload(HOST, robot[1], WAIT)
 
-    assert raised.value.reason is Reason.NOT_REMOTE
+    assert raised.value.reason is UploadErrorReason.NOT_REMOTE
 
 
 async def test_an_arm_that_cannot_run_gets_no_program(robot: Robot) -> None:
@@ -82,7 +82,7 @@ async def test_an_arm_that_cannot_run_gets_no_program(robot: Robot) -> None:
     controller.protective_stop("test")
     with pytest.raises(UploadError, match="protective stop") as raised:
         await upload(HOST, port, WAIT)
-    assert raised.value.reason is Reason.NOT_RUNNING
+    assert raised.value.reason is UploadErrorReason.NOT_RUNNING
 
     controller.power_off()
     with pytest.raises(UploadError, match="protective stop"):
@@ -105,7 +105,7 @@ async def test_no_controller_is_named() -> None:
     with pytest.raises(UploadError, match=r"primary port 127\.0\.0\.25:9") as raised:
         await upload(HOST, 9, WAIT)
 
-    assert raised.value.reason is Reason.UNREACHABLE
+    assert raised.value.reason is UploadErrorReason.UNREACHABLE
 
 
 RUNNING = frame(
@@ -121,16 +121,16 @@ def message(content: messages.Message) -> bytes:
 @pytest.mark.parametrize(
     ("answer", "reason"),
     [
-        (b"", Reason.LOST),
-        (b"\x00\x00\x00\x01\x10", Reason.LOST),
-        (b"SSH-2.0-OpenSSH_9.6\r\n", Reason.LOST),
-        (message(messages.ErrorCode(153, 1, messages.ReportLevel.FAULT, "drives")), Reason.CONTROLLER),
-        (message(messages.RuntimeException(0, 0, "compile_error")), Reason.SCRIPT),
-        (message(messages.Key(messages.PROGRAM_STARTED, "somebody_else_s")), Reason.LOST),
-        (message(messages.ErrorCode(160, 0, messages.ReportLevel.WARNING)), Reason.LOST),
+        (b"", UploadErrorReason.LOST),
+        (b"\x00\x00\x00\x01\x10", UploadErrorReason.LOST),
+        (b"SSH-2.0-OpenSSH_9.6\r\n", UploadErrorReason.LOST),
+        (message(messages.ErrorCode(153, 1, messages.ReportLevel.FAULT, "drives")), UploadErrorReason.CONTROLLER),
+        (message(messages.RuntimeException(0, 0, "compile_error")), UploadErrorReason.SCRIPT),
+        (message(messages.Key(messages.PROGRAM_STARTED, "somebody_else_s")), UploadErrorReason.LOST),
+        (message(messages.ErrorCode(160, 0, messages.ReportLevel.WARNING)), UploadErrorReason.LOST),
     ],
 )
-async def test_a_start_that_is_not_confirmed_is_an_error(answer: bytes, reason: Reason) -> None:
+async def test_a_start_that_is_not_confirmed_is_an_error(answer: bytes, reason: UploadErrorReason) -> None:
     async def speak(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.write(RUNNING)
         await reader.readuntil(b"\nend\n")
@@ -154,7 +154,7 @@ async def test_silence_ends_in_a_timeout() -> None:
         with pytest.raises(UploadError, match=r"did not report within 0\.1 s that `wait` runs") as raised:
             await upload(HOST, server.sockets[0].getsockname()[1], WAIT, timeout_s=0.1)
 
-    assert raised.value.reason is Reason.TIMEOUT
+    assert raised.value.reason is UploadErrorReason.TIMEOUT
 
 
 @pytest.mark.parametrize("spoil", [lambda: chunked(random.Random(0), 40), halved])
@@ -179,5 +179,5 @@ async def test_a_program_that_a_reset_cut_short_does_not_run(robot: Robot) -> No
         with pytest.raises(UploadError) as raised:
             await uploading
 
-    assert raised.value.reason is Reason.LOST
+    assert raised.value.reason is UploadErrorReason.LOST
     assert controller.program_name == ""

@@ -6,7 +6,7 @@ import socket
 import pytest
 
 from sim_backend.ur_controller import events
-from sim_backend.ur_controller.builtins.sockets import LARGEST_BUFFER, MOST_SOCKETS
+from sim_backend.ur_controller.sockets import LARGEST_BUFFER, MOST_SOCKETS
 
 HOST = "127.0.0.21"
 

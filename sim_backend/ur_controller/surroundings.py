@@ -1,6 +1,6 @@
-"""What surrounds the emulated robot, over Zenoh: the episode, the truth, the camera, and the panel a person stands at.
+"""Surroundings of the emulated robot over Zenoh: the episode, the truth, the camera, and an operator's panel.
 
-The arm itself speaks UR's protocols only. Keys and records stand in `docs/reference/wire.md`.
+The arm itself speaks only UR's protocols. `docs/reference/wire.md` describes keys and records.
 """
 
 import json
@@ -10,12 +10,11 @@ from dataclasses import asdict
 
 import zenoh
 
+from sim_backend.requests import RequestError, asked, query_keys, read_object, read_task
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Refused
 from sim_backend.ur_controller.server import ControllerServer
 from sim_backend.world.world import ESTIMATE_TICKS
-from sim_backend.zenoh_cell import answers
-from sim_backend.zenoh_cell.server import asked, query_keys
 from wire import keys
 from wire import records as wire
 
@@ -48,34 +47,34 @@ PRESSES: Mapping[str, Callable[[Controller], None]] = {
     "pause": Controller.pause,
     "stop": Controller.stop_program,
 }
-"""What a person can press at the robot: its emergency stop, safeguard, key switch, and the buttons of PolyScope."""
+"""Controls that a person can press at the robot: emergency stop, safeguard, key switch and PolyScope's buttons."""
 
 
 def press(controller: Controller, payload: bytes) -> bytes:
-    """Press what a request names.
+    """Press the control that a request names.
 
     Args:
-        controller: of the robot.
-        payload: JSON object `{"press": name}`, one of `PRESSES`.
+        controller: controller of the robot.
+        payload: JSON object `{"press": name}`, with a name of `PRESSES`.
 
     Returns:
         JSON of the controller's state afterwards.
 
     Raises:
-        RequestError: it cannot be read, names nothing there, or the controller refuses.
+        RequestError: the payload is malformed, names no control, or the controller refuses.
     """
-    document = answers.read_object(payload, "panel")
+    document = read_object(payload, "panel")
     name = document.get("press")
     if len(document) != 1 or not isinstance(name, str) or name not in PRESSES:
-        raise answers.RequestError(f'panel: {{"press": name}} takes one of {", ".join(PRESSES)}')
+        raise RequestError(f'panel: {{"press": name}} takes one of {", ".join(PRESSES)}')
     try:
         PRESSES[name](controller)
     except Refused as error:
-        raise answers.RequestError(f"panel: the controller refuses: {error}") from error
+        raise RequestError(f"panel: the controller refuses: {error}") from error
     return json.dumps(_state(controller)).encode()
 
 
-class Stage:
+class Surroundings:
     """Serves the surroundings of one controller under `sim/<world>/`, in the thread of its server.
 
     Attributes:
@@ -93,14 +92,14 @@ class Stage:
         """Declare the keys.
 
         Args:
-            controller: of the arm.
-            server: that serves it and steps this stage.
-            session: open; the caller closes this stage and then the session.
+            controller: controller of the arm.
+            server: server that serves it and steps these surroundings.
+            session: open session; the caller closes these surroundings and then the session.
             world: name of the world in its keys.
-            degraded: what the host refused to grant, for `info`.
+            degraded: grants that the host refused, for `info`.
 
         Raises:
-            ValueError: `world` cannot stand in a key.
+            ValueError: a key cannot contain `world`.
         """
         self.epoch = secrets.randbits(63)
         self._controller = controller
@@ -118,7 +117,7 @@ class Stage:
         )
 
     def step(self) -> bool:
-        """After a tick: publish a camera frame that is due, answer one query; returns whether it laid out the world."""
+        """After a tick, publish a due camera frame and answer one query; return True if the world was laid out."""
         if self._ticks % ESTIMATE_TICKS == 0:
             self._camera.put(self.frame())
         self._ticks += 1
@@ -126,7 +125,7 @@ class Stage:
         return query is not None and self._answer(query)
 
     def frame(self) -> bytes:
-        """The camera's present frame: one `wire.CAMERA` record."""
+        """Return the camera's present frame, one `wire.CAMERA` record."""
         record = wire.new(wire.CAMERA, wire.Kind.CAMERA)
         row = record[0]
         row["epoch"], row["episode"], row["seq"] = self.epoch, self._episode, self._server.counters.ticks
@@ -135,7 +134,7 @@ class Stage:
         return record.tobytes()
 
     def close(self) -> None:
-        """Answer nothing more; a Zenoh thread that waits at a full channel would hold up the session's end."""
+        """Stop answering; a Zenoh thread that waits at a full channel would delay the end of the session."""
         self._queries.undeclare()
 
     def _answer(self, query: zenoh.Query) -> bool:
@@ -143,7 +142,7 @@ class Stage:
             try:
                 name = asked(query, self._keys)
                 reply = self._carry_out(name, query.payload.to_bytes() if query.payload is not None else b"")
-            except answers.RequestError as error:
+            except RequestError as error:
                 query.reply_err(str(error), encoding=zenoh.Encoding.TEXT_PLAIN)
                 return False
             query.reply(self._keys[name], reply, express=True)
@@ -159,14 +158,14 @@ class Stage:
         return self._info()
 
     def _lay_out(self, payload: bytes) -> bytes:
-        """Begin an episode; the reply is its first camera frame. Programs run on, the arm stands at the start pose."""
-        task = answers.read_task(payload)
+        """Begin an episode with the arm at the start pose and reply with its first camera frame; programs continue."""
+        task = read_task(payload)
         try:
             self._controller.plant.lay_out(task)
         except ValueError as error:
-            raise answers.RequestError(f"reset: {error}") from error
+            raise RequestError(f"reset: {error}") from error
         self._episode += 1
-        self._ticks = 1  # the frame of tick 0 is the reply
+        self._ticks = 1  # the reply is the frame of tick 0
         return self.frame()
 
     def _info(self) -> bytes:

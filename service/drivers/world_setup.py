@@ -1,4 +1,4 @@
-"""Laying out the world of a simulated arm that is driven by a real arm's protocol, which has no word for it."""
+"""Setup of the world of a simulated arm that is driven by a real arm's protocol, which has no command for it."""
 
 import asyncio
 import json
@@ -17,7 +17,7 @@ from wire.session import QueryRefusedError, close_session, open_session, query
 from wire.task import Task
 
 LAY_OUT_S = 30.0
-"""Host time for a simulator to lay out, and perhaps to compile, a world."""
+"""Host time for a simulator to lay out, and perhaps to compile, a world, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,43 +25,43 @@ class LaidOut:
     """A world that was laid out.
 
     Attributes:
-        episode: how often it was, since its process started.
-        time_s: when, by the arm's clock: samples that are newer show it.
+        episode: number of layouts since its process started.
+        time_s: time of the layout by the arm's clock; newer samples show the new world.
     """
 
     episode: int
     time_s: float
 
 
-class Stage(Protocol):
-    """Whatever can lay out the arm's world; a real arm has none."""
+class WorldSetup(Protocol):
+    """Lays out the arm's world; a real arm has none."""
 
     async def open(self) -> None:
-        """Reach the world; may be called again.
+        """Connect to the world; may be called again.
 
         Raises:
-            OSError: there is no way to it.
+            OSError: the world cannot be reached.
         """
         ...
 
     async def lay_out(self, task: Task | None) -> LaidOut:
-        """Have the world as a run wants it.
+        """Lay out the world that a run wants.
 
         Raises:
-            DriverError: it cannot be had.
+            DriverError: the world cannot be laid out.
         """
         ...
 
     async def close(self) -> None:
-        """Release what it holds."""
+        """Release the connection."""
         ...
 
 
-class ZenohStage:
-    """The world of an emulated controller, laid out as that of a simulated cell is (`docs/reference/wire.md`).
+class ZenohWorldSetup:
+    """Setup of an emulated controller's world by the query of a simulated cell (`docs/reference/wire.md`).
 
     Args:
-        world: name in its keys.
+        world: name of the world in its keys.
         connect: endpoints of its server.
     """
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import zenoh
 
-from sim_backend.ur_controller.controller import Controller
+from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
-from sim_backend.ur_controller.stage import Stage
+from sim_backend.ur_controller.surroundings import Surroundings
 from sim_backend.world.world import START_POSITION_M, World
 from wire import keys
 from wire import records as wire
@@ -23,19 +23,19 @@ PATIENCE_S = 10.0
 
 
 class Cell:
-    """A controller with its stage; time passes in `step` only."""
+    """A controller with its surroundings; time passes in `step` only."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self.session = session
         self.laid_out = 0
-        self.controller = Controller(Plant(World(1, "tr")))
+        self.controller = make_controller(Plant(World(1, "tr")))
         self.server = ControllerServer(self.controller, HOST, ANY_PORTS)
-        self.stage = Stage(self.controller, self.server, session, "bench", ["no SCHED_FIFO"])
+        self.surroundings = Surroundings(self.controller, self.server, session, "bench", ["no SCHED_FIFO"])
 
     def step(self, ticks: int) -> None:
         for _ in range(ticks):
             self.server.step()
-            self.laid_out += self.stage.step()
+            self.laid_out += self.surroundings.step()
 
     def ask(self, query: str, payload: bytes = b"") -> bytes:
         """Ask one query and step until the answer is there; an error reply raises its text."""
@@ -64,7 +64,7 @@ def cell(free_endpoint: str) -> Iterator[Cell]:
     with open_session([free_endpoint]) as session:
         cell = Cell(session)
         yield cell
-        cell.stage.close()
+        cell.surroundings.close()
         cell.server.close()
 
 
@@ -74,7 +74,7 @@ def test_a_reset_lays_out_an_episode_and_gives_its_first_camera_frame(cell: Cell
     before_s = cell.controller.time_s
     frame = cell.reset(seed=7, clearance_m=0.00033)
     assert frame["kind"] == wire.Kind.CAMERA
-    assert (frame["epoch"], frame["episode"]) == (cell.stage.epoch, 1)
+    assert (frame["epoch"], frame["episode"]) == (cell.surroundings.epoch, 1)
     assert before_s < frame["time_s"] <= cell.controller.time_s
     np.testing.assert_allclose(cell.controller.plant.tcp_pose()[:3], START_POSITION_M, atol=1e-3)
     truth = json.loads(cell.ask("truth"))
@@ -163,7 +163,7 @@ def test_the_camera_gives_a_frame_every_40_ms_on_the_clock_of_the_arm(cell: Cell
 
 def test_info_says_what_this_is(cell: Cell) -> None:
     info = json.loads(cell.ask("info"))
-    assert (info["mode"], info["version"], info["epoch"]) == ("ur-controller", wire.VERSION, cell.stage.epoch)
+    assert (info["mode"], info["version"], info["epoch"]) == ("ur-controller", wire.VERSION, cell.surroundings.epoch)
     assert info["ports"]["rtde"] == cell.server.ports.rtde
     assert info["controller"].startswith("5.21.")
     assert info["degraded"] == ["no SCHED_FIFO"]
