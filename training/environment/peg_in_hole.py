@@ -101,7 +101,7 @@ class PegInHoleVectorEnv(gym.vector.VectorEnv[Observation, npt.NDArray[Any], npt
 
     @property
     def contract(self) -> PolicyContract:
-        """What a policy trained here must carry to be deployed."""
+        """Contract that a policy trained here must carry to be deployed."""
         return self._cells.insertions.contract
 
     def reset(
@@ -218,7 +218,7 @@ class PegInHoleEnv(gym.Env[Observation, npt.NDArray[Any]]):
 
     @property
     def contract(self) -> PolicyContract:
-        """What a policy trained here must carry to be deployed."""
+        """Contract that a policy trained here must carry to be deployed."""
         return self._cells.insertions.contract
 
     def reset(
