@@ -70,7 +70,7 @@ def schema() -> None:
 
 @ur_app.command()
 def check(config: ConfigPath = None) -> None:
-    """Pass the start-up gate once and print what was measured; the arm does not move. Not while the cell runs."""
+    """Pass the start-up gate once and print the measurements; the arm does not move. Stop the cell first."""
     cell = _load(config)
     _ur_of(cell)
     driver = _driver(cell)
@@ -90,7 +90,7 @@ def check(config: ConfigPath = None) -> None:
 
 @ur_app.command()
 def power_on(config: ConfigPath = None) -> None:
-    """Switch the arm on and release its brakes; it moves by millimetres as they open."""
+    """Switch the arm on and release its brakes; the arm moves by millimetres as they open."""
     ur = _ur_of(_load(config))
     _do(lambda: recovery.power_on(ur))
     typer.echo("the arm is on and holds itself")
@@ -106,14 +106,14 @@ def power_off(config: ConfigPath = None) -> None:
 
 @ur_app.command()
 def unlock(config: ConfigPath = None) -> None:
-    """Leave a protective stop whose cause you have inspected, 5 s after it occurred at the earliest."""
+    """Leave a protective stop whose cause you have inspected. The controller refuses this within the first 5 s."""
     ur = _ur_of(_load(config))
     _do(lambda: recovery.unlock(ur))
     typer.echo("the protective stop is left; no program runs")
 
 
 class GripperAction(StrEnum):
-    """What an operator may ask of the gripper."""
+    """Action of the gripper that an operator may ask for."""
 
     STATUS = "status"
     ACTIVATE = "activate"
@@ -123,7 +123,7 @@ class GripperAction(StrEnum):
 
 @ur_app.command()
 def gripper(action: GripperAction, config: ConfigPath = None) -> None:
-    """Ask a Robotiq gripper how it stands, or move its fingers: opening, and activating, drops what they hold."""
+    """Ask a Robotiq gripper for its state, or move its fingers. Opening and activating drop the object."""
     ur = _ur_of(_load(config))
     status = _do(lambda: _ask_gripper(Gripper(ur.host, ur.gripper_port), action))
     state = "active" if status.is_active else "not activated"
@@ -145,13 +145,13 @@ async def _ask_gripper(fingers: Gripper, action: GripperAction) -> Status:
 
 
 class _Onlooker:
-    """Takes a driver's samples and needs none of them."""
+    """Ignores a driver's samples."""
 
     def on_sample(self, sample: Sample) -> None:
-        """Leave it."""
+        """Ignore the sample."""
 
     def on_link_fault(self, code: FaultCode, text: str) -> None:
-        """Leave it: what the gate found says more."""
+        """Ignore the fault: the gate's checks say more."""
 
 
 async def _pass_gate(driver: UrDriver) -> str | None:
@@ -181,7 +181,7 @@ def _ur_of(cell: CellConfig) -> UrSection:
 
 
 def _driver(cell: CellConfig) -> Driver:
-    """Make the driver that the configuration names; it opens nothing before it is connected."""
+    """Make the driver that the configuration names; it opens nothing until it is connected."""
     sim, view = cell.sim, cell.camera
     if cell.ur is None or cell.cell.driver != "ur":
         return ZenohSimDriver(sim.world, [sim.endpoint], sim.mode)
@@ -195,7 +195,7 @@ def _driver(cell: CellConfig) -> Driver:
 
 
 def _world(cell: CellConfig) -> AbstractContextManager[object]:
-    """Have the simulated world that the driver talks to, where the configuration asks for it."""
+    """Start the driver's simulator where the configuration asks for it."""
     arguments, ur = cell.simulator_arguments, cell.ur
     if arguments is None or not cell.sim.autostart:
         return nullcontext()
@@ -204,7 +204,7 @@ def _world(cell: CellConfig) -> AbstractContextManager[object]:
 
 
 def _do(errand: Callable[[], Coroutine[Any, Any, T]]) -> T:
-    """Run an operator's errand; one that fails says why and ends the command."""
+    """Run an operator's errand; print the error and end the command where it fails."""
     try:
         return asyncio.run(errand())
     except (DashboardError, GripperError, OSError) as error:

@@ -38,9 +38,9 @@ from service.messages import (
 from wire.session import call_in_loop, close_session, open_session, query
 
 SILENCE_S = 0.5
-"""Age of the last heartbeat at which a cell is called silent: ten heartbeats."""
+"""Age of the last heartbeat at which a cell counts as silent: ten heartbeats."""
 QUEUE_LENGTH = 256
-"""Messages held for a subscriber that does not read; the oldest goes first."""
+"""Messages held for a slow subscriber; beyond it the oldest is dropped."""
 
 
 T = TypeVar("T")
@@ -48,15 +48,15 @@ MessageT = TypeVar("MessageT", bound=Message)
 
 
 class CellError(Exception):
-    """Root of what this client raises."""
+    """Root of this client's exceptions."""
 
 
 class CellSilentError(CellError):
-    """No answer from the control process: it is not running, is frozen, or cannot be reached."""
+    """The control process gives no answer: it is not running, is frozen, or cannot be reached."""
 
 
 class CellRefusedError(CellError):
-    """The cell answered, and refused."""
+    """The cell refused the request; `problem` has its reason."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem.detail)
@@ -64,14 +64,14 @@ class CellRefusedError(CellError):
 
 
 class CellClient:
-    """Talks to one cell. Every method belongs to the event loop that entered the context.
+    """Talks to one cell. Call every method on the event loop that entered the context.
 
     Args:
         cell: the cell's id.
         connect: endpoints of its control process.
         clock: monotonic seconds, for the heartbeat's age.
-        time_of_day: seconds since the Unix epoch, for the time until which a start is valid; machines that send
-            starts must agree on it with the cell's to within a few seconds.
+        time_of_day: seconds since the Unix epoch, for the `valid_until` of a start. It must agree with the cell's to
+            within a few seconds.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class CellClient:
         await self.close()
 
     async def open(self) -> None:
-        """Open the session and subscribe; returns whether or not the cell is there yet."""
+        """Open the session and subscribe. The cell need not be running yet."""
         session = await asyncio.to_thread(open_session, connect=self._connect)
         self._session = session
         self._presence = asyncio.create_task(self._say_present(session), name=f"client of {self._cell}")
@@ -112,7 +112,7 @@ class CellClient:
         self._subscribe(session, messages.TELEMETRY, Telemetry, lambda point: _offer(self._telemetry_queues, point))
 
     async def close(self) -> None:
-        """Close the session; a run that goes by this client's presence is stopped by the cell."""
+        """Close the session. The cell then does what its `client_loss` says."""
         if self._presence is not None:
             self._presence.cancel()
         session, self._session = self._session, None
@@ -122,15 +122,15 @@ class CellClient:
     # --- commands
 
     async def start(self, request: StartRequest, timeout_s: float = 10.0) -> RunResult:
-        """Ask for one insertion, valid for as long as its answer is waited for unless the request says otherwise.
+        """Ask for one insertion. Without a `valid_until`, the request is valid for `timeout_s`.
 
         Returns:
-            The run that was accepted, or the one that the idempotency key found.
+            The accepted run, or the one that the idempotency key found.
 
         Raises:
             CellRefusedError: with the cell's reason.
-            CellSilentError: no answer in time. Whether the run was accepted is then not known: ask again with the
-                same idempotency key.
+            CellSilentError: no answer in time. The run may have been accepted: ask again with the same idempotency
+                key.
         """
         if request.valid_until is None:
             request = request.model_copy(update={"valid_until": self._time_of_day() + timeout_s})
@@ -145,7 +145,7 @@ class CellClient:
         return _unwrap(await self._ask(messages.STOP, request, messages.STATUS_ANSWER, timeout_s)).status
 
     async def reset(self, request: ResetRequest, timeout_s: float = 5.0) -> Status:
-        """Acknowledge the latched fault; moves nothing.
+        """Acknowledge the latched fault; nothing moves.
 
         Raises:
             CellRefusedError: nothing is latched, another code is in force, force is above the limit, no fresh samples.
@@ -156,7 +156,7 @@ class CellClient:
     # --- queries
 
     async def status(self, timeout_s: float = 1.0) -> Status:
-        """Ask for the status now; `last_status` costs nothing and is at most a heartbeat old.
+        """Ask for the status now. `last_status` needs no request and is at most a heartbeat old.
 
         Raises:
             CellSilentError: no answer in time.
@@ -186,7 +186,7 @@ class CellClient:
 
     @property
     def last_status(self) -> Status | None:
-        """The last heartbeat, however old; None before the first."""
+        """The last heartbeat, whatever its age; None before the first."""
         return self._status
 
     @property
@@ -200,7 +200,7 @@ class CellClient:
 
     @property
     def state(self) -> CellState:
-        """The cell's state by its last heartbeat, UNKNOWN when it is silent."""
+        """The cell's state at its last heartbeat; UNKNOWN while the cell is silent."""
         if self._status is None or not self.is_alive:
             return CellState.UNKNOWN
         return self._status.state
@@ -209,23 +209,23 @@ class CellClient:
 
     @asynccontextmanager
     async def statuses(self) -> AsyncGenerator[asyncio.Queue[Status]]:
-        """Subscribe to heartbeats for as long as the context lasts."""
+        """Subscribe to heartbeats while the context lasts."""
         async with _subscription(self._status_queues) as queue:
             yield queue
 
     @asynccontextmanager
     async def events(self) -> AsyncGenerator[asyncio.Queue[Event]]:
-        """Subscribe to events; a reader that falls `QUEUE_LENGTH` behind loses the oldest, seen as a gap in `seq`."""
+        """Subscribe to events. A reader `QUEUE_LENGTH` behind loses the oldest ones, and finds a gap in `seq`."""
         async with _subscription(self._event_queues) as queue:
             yield queue
 
     @asynccontextmanager
     async def telemetry(self) -> AsyncGenerator[asyncio.Queue[Telemetry]]:
-        """Subscribe to telemetry points."""
+        """Subscribe to telemetry points while the context lasts."""
         async with _subscription(self._telemetry_queues) as queue:
             yield queue
 
-    # --- below the surface
+    # --- internals
 
     async def _say_present(self, session: zenoh.Session) -> None:
         publisher = session.declare_publisher(
@@ -248,7 +248,7 @@ class CellClient:
             try:
                 message = model.model_validate_json(sample.payload.to_bytes())
             except ValidationError:
-                return  # another version's message is no heartbeat: the cell turns UNKNOWN
+                return  # a message of another version is no heartbeat, so the cell becomes UNKNOWN
             call_in_loop(loop, deliver, message)
 
         session.declare_subscriber(key.format(cell=self._cell), on_sample)

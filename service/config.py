@@ -1,4 +1,4 @@
-"""Configuration of a cell: one TOML file, overridden by the environment; refused by the name of the field at fault.
+"""Configuration of a cell: one TOML file, overridden by the environment. Errors name the field.
 
 The file is `$DSL_ASSEMBLY_CONFIG`, else `config/cell.toml`. A variable such as `DSL_ASSEMBLY__API__PORT=8001` overrides
 one field. Relative paths are relative to the file.
@@ -57,13 +57,13 @@ class Section(BaseModel):
 
 
 class CellSection(Section):
-    """Identity of the cell and where its control process is reached.
+    """Identity of the cell and address of its control process.
 
     Attributes:
-        id: in keys, paths and URLs.
+        id: name of the cell in keys, paths and URLs.
         endpoint: Zenoh endpoint that the control process listens on.
-        driver: `zenoh_sim` reaches a simulated cell over Zenoh, `ur` an e-Series controller, real or emulated.
-        state_dir: latch and ledger.
+        driver: `zenoh_sim` for a simulated cell over Zenoh, `ur` for an e-Series controller, real or emulated.
+        state_dir: folder of latch and ledger.
     """
 
     id: Name
@@ -73,38 +73,38 @@ class CellSection(Section):
 
 
 class LimitsSection(Section):
-    """What no run may exceed.
+    """Limits that no run may exceed.
 
     Attributes:
-        force_ceiling_n: resultant force of any single sample, N.
-        torque_ceiling_nm: resultant torque at the TCP of any single sample, N·m.
+        force_ceiling_n: largest resultant force of any single sample, N.
+        torque_ceiling_nm: largest resultant torque at the TCP of any single sample, N·m.
         sample_age_s: age of the newest sample, and gap between two, at which the cell latches STALE.
         stuck_samples: bit-identical wrenches in a row at which the cell latches SENSOR_STUCK.
         target_age_s: time without a target after which the arm's own controller stops.
-        max_step_m: largest change between two targets, and distance of a target from the measured position.
+        max_step_m: largest change between two targets, and largest distance of a target from the measured position.
         max_turn_rad: the same for the yaw.
-        max_speed_m_s: of targets and of the arm's reference.
+        max_speed_m_s: largest speed of targets and of the arm's reference.
         max_turn_speed_rad_s: the same for the yaw.
-        max_tilt_rad: of the tool from straight down.
-        max_stiffness: N/m and N·m/rad that the control program runs; a policy that wants more is refused.
-        min_damping: N·s/m and N·m·s/rad; a policy that wants less is refused: with the sensor's delay it would swing.
+        max_tilt_rad: largest tilt of the tool from straight down.
+        max_stiffness: N/m and N·m/rad. A policy that wants more is refused.
+        min_damping: N·s/m and N·m·s/rad. A policy that wants less is refused: the arm would swing.
         max_damping: a policy that wants more is refused: the arm would hardly yield.
-        min_inertia: kg and kg·m², as for `min_damping`.
+        min_inertia: kg and kg·m². A policy that wants less is refused, for the same reason.
         max_inertia: a policy that wants more is refused: an impact would be hard.
         max_press_m: how far a policy's lock may press below the height of a contact.
-        max_contact_share: of the force ceiling, and of the torque ceiling, that `dsl.contact_threshold` of a policy's
-            clips may be: a lock must feel a contact long before the cell stops for it.
-        max_seek_step_m: increment downwards of a policy's lock while it seeks.
-        max_lift_m: how far above the first contact a policy's lock may rise.
-        max_search_depth_m: depth of one stretch of a policy's search for contact.
-        max_search_steps: length of one, policy steps.
-        max_hole_offset_m: farthest that the camera's estimate of the hole may lie from the recipe's nominal one, per
-            axis; beyond it the run fails before any motion.
-        workspace_m: lower and upper corner of the box that the TCP stays in, base frame.
-        yaw_range_rad: how far the yaw may go from the start yaw, either way.
+        max_contact_share: largest `dsl.contact_threshold` of a policy's clips, as a share of force ceiling and torque
+            ceiling: the lock must feel a contact long before the cell stops for it.
+        max_seek_step_m: largest step downwards of a policy's lock while it seeks.
+        max_lift_m: largest height above the first contact to which a policy's lock may rise.
+        max_search_depth_m: largest depth of one stretch of a policy's search for contact.
+        max_search_steps: largest length of one, policy steps.
+        max_hole_offset_m: largest distance of the camera's estimate of the hole from the nominal one, per axis;
+            beyond it the run fails before any motion.
+        workspace_m: lower and upper corner of the box in which the TCP stays, base frame.
+        yaw_range_rad: largest turn from the start yaw, either way.
         clamped_steps: outrageous policy steps in a row before the cell latches BOUNDS.
-        stop_confirm_s: time in which a stop must be confirmed by measured velocity.
-        policy_deadline_s: time that one inference may take before the cell latches POLICY_DEADLINE.
+        stop_confirm_s: time in which standstill must be measured after a stop.
+        policy_deadline_s: time of one inference at which the cell latches POLICY_DEADLINE.
     """
 
     force_ceiling_n: Force
@@ -137,19 +137,19 @@ class LimitsSection(Section):
 
 
 class PreflightSection(Section):
-    """What the sensor and the pose must look like before the arm moves; `service/safety/preflight.py`.
+    """Requirements on sensor and pose before the arm moves; `service/safety/preflight.py` checks them.
 
     Attributes:
-        window_samples: to judge from.
-        contact_force_n: mean resultant force from which something touches the tool.
+        window_samples: number of samples that are judged.
+        contact_force_n: mean resultant force that means that something touches the tool.
         bias_force_n: largest mean resultant force after zeroing.
         bias_torque_nm: the same for torque.
         noise_force_n: largest standard deviation of a component.
         noise_torque_nm: the same for torque.
-        position_m: farthest from the start position.
-        yaw_rad: farthest from the start yaw.
+        position_m: largest distance from the start position.
+        yaw_rad: largest turn from the start yaw.
         tilt_rad: largest tilt.
-        unzeroed_force_n: mean resultant force before zeroing from which something loads the tool.
+        unzeroed_force_n: mean resultant force before zeroing that means that something loads the tool.
         unzeroed_torque_nm: the same for torque.
     """
 
@@ -167,24 +167,24 @@ class PreflightSection(Section):
 
 
 class RecipeSection(Section):
-    """One insertion: which part, by which policy, from where. The compliance law is in the policy's contract.
+    """One insertion: its part, its policy and its poses. The policy's contract has the compliance law.
 
     Attributes:
-        part: peg and hole.
-        clearance_m: per face.
+        part: name of peg and hole.
+        clearance_m: clearance per face.
         policy: ONNX file with its contract.
-        policy_sha256: pins the file; another content is refused.
-        force_ceiling_n: for this part, where lower than the cell's.
-        start_position_m: TCP from which the approach is meant to start, base frame.
-        start_yaw_rad: the peg's yaw during the approach.
-        nominal_hole_m: centre of the hole's mouth where no camera says better.
+        policy_sha256: hash of the file; a file with another hash is refused.
+        force_ceiling_n: force ceiling for this part, where lower than that of the cell.
+        start_position_m: position of the TCP from which the approach starts, base frame.
+        start_yaw_rad: yaw of the peg during the approach.
+        nominal_hole_m: centre of the hole's mouth, used where no camera estimates it.
         hover_m: height above the hole's mouth at which the approach ends.
-        approach_speed_m_s: of the scripted moves.
+        approach_speed_m_s: speed of the scripted moves.
         max_steps: policy steps before the run fails, where fewer than the policy's own.
-        success_depth_m: how far below the surface the peg's bottom must be.
-        retract: whether the tool moves up at the end of a run; else it stays where the run ended.
-        conditions: distributions that a simulated world draws from.
-        allow_lock: modes of the safety lock that its policy may run with.
+        success_depth_m: depth of the peg's bottom below the surface that counts as inserted.
+        retract: whether the tool moves up at the end of a run; otherwise it stays where the run ended.
+        conditions: distributions from which a simulated world is drawn.
+        allow_lock: modes of the safety lock that the policy may use.
     """
 
     part: Name
@@ -205,13 +205,13 @@ class RecipeSection(Section):
 
 
 class SimSection(Section):
-    """The simulator that `zenoh_sim` talks to; with an emulated UR controller, its world.
+    """The simulator of the driver `zenoh_sim`; with an emulated UR controller, the simulator of its world.
 
     Attributes:
-        world: name in its keys.
-        endpoint: where it listens.
-        mode: who lets time pass; an emulated UR controller always runs in real time.
-        autostart: whether `python -m service run` starts it and ends it again.
+        world: name of the world in the simulator's keys.
+        endpoint: Zenoh endpoint that the simulator listens on.
+        mode: whether time passes by itself; an emulated UR controller always runs in real time.
+        autostart: whether `python -m service run` starts and ends the simulator.
     """
 
     world: Name = "world-1"
@@ -221,26 +221,26 @@ class SimSection(Section):
 
 
 class UrSection(Section):
-    """A Universal Robots e-Series controller; `docs/how-to/commission-a-ur.md` says how each number is found.
+    """A Universal Robots e-Series controller; `docs/how-to/commission-a-ur.md` explains how to find each number.
 
     Attributes:
         host: address of the controller.
-        rtde_port: of its real-time data exchange.
-        dashboard_port: of its dashboard server.
-        primary_port: of its primary interface, which takes the control program.
-        gripper_port: of the server of a Robotiq gripper's URCap, for `python -m service ur gripper`.
+        rtde_port: port of its real-time data exchange.
+        dashboard_port: port of its dashboard server.
+        primary_port: port of its primary interface, which takes the control program.
+        gripper_port: port of the URCap of a Robotiq gripper, for `python -m service ur gripper`.
         simulated: whether it is the emulated controller of this project, whose world is laid out from a seed; `sim`
             then names that world.
-        payload_kg: mass of all that the flange carries.
-        payload_com_m: its centre, flange axes.
+        payload_kg: mass of everything that the flange carries.
+        payload_com_m: centre of that mass, flange axes.
         tcp_m: pose of the TCP in the flange's frame: m, and a rotation vector in rad.
-        torque_about: the point that the controller's own torque refers to: the flange on the e-Series.
+        torque_about: point to which the controller's torque refers; on the e-Series, the flange.
         force_range_n: end of the sensor's range, per channel of force.
         torque_range_nm: the same for torque.
-        watchdog_hz: fewer packages of the host per second than this end the control program.
-        stop_retract_m: how far the arm moves up after a stop by force; 0: not at all.
-        prove_watchdog: whether each start lets the watchdog trip once; None: where the controller is simulated.
-        connect_s: time that the controller may take for one answer.
+        watchdog_hz: the control program ends when fewer packages per second than this come from the host.
+        stop_retract_m: height by which the arm moves up after a stop by force; 0: it does not.
+        prove_watchdog: whether each start lets the watchdog trip once; None: only where the controller is simulated.
+        connect_s: longest time that the controller may take for one answer.
     """
 
     host: str
@@ -262,12 +262,12 @@ class UrSection(Section):
 
 
 class CameraSection(Section):
-    """Where estimates of the hole's position come from, for a driver whose arm does not give them.
+    """The source of estimates of the hole's position, for a driver whose arm does not give them.
 
     Attributes:
-        endpoint: Zenoh endpoint of their publisher.
-        key: under which it publishes `wire.CAMERA` records.
-        max_age_s: an older estimate is none.
+        endpoint: Zenoh endpoint of the publisher.
+        key: key under which it publishes `wire.records.CAMERA` records.
+        max_age_s: largest age of an estimate that is used.
     """
 
     endpoint: Endpoint
@@ -279,12 +279,12 @@ class ApiSection(Section):
     """The HTTP server.
 
     Attributes:
-        host: to listen on; another one than loopback needs `allow_remote`.
-        port: to listen on.
-        database: SQLAlchemy URL of the run history (SQLite); empty for a file in the state directory.
+        host: address to listen on; one other than loopback needs `allow_remote`.
+        port: port to listen on.
+        database: SQLAlchemy URL of the run history (SQLite); empty: a file in the state directory.
         autostart: whether the API starts the control process, and the simulator that it needs, where none answers.
-        allow_remote: accept requests from other machines, although there is no authorisation yet.
-        allowed_hosts: names beside the loopback ones that a `Host` header may hold.
+        allow_remote: whether requests from other machines are accepted; there is no authorisation yet.
+        allowed_hosts: names in a `Host` header that are accepted besides the loopback ones.
     """
 
     host: str = "127.0.0.1"
@@ -296,7 +296,7 @@ class ApiSection(Section):
 
 
 class ClientLossSection(Section):
-    """What a run does when no client is heard any more, whoever started it.
+    """Behaviour of a run when no client is heard any more, whoever started it.
 
     Attributes:
         policy: `continue` finishes the run, `stop` latches CLIENT_LOST.
@@ -308,7 +308,7 @@ class ClientLossSection(Section):
 
 
 class CellConfig(BaseSettings):
-    """Everything that one cell is told."""
+    """The configuration of one cell."""
 
     model_config = SettingsConfigDict(
         env_prefix="DSL_ASSEMBLY__", env_nested_delimiter="__", extra="forbid", frozen=True, validate_default=True
@@ -357,12 +357,12 @@ class CellConfig(BaseSettings):
 
     @property
     def sees_hole(self) -> bool:
-        """Whether something estimates the hole's position: the simulated cell's own camera or that of `[camera]`."""
+        """True where something estimates the hole's position: the simulated cell's camera, or that of `[camera]`."""
         return self.cell.driver == "zenoh_sim" or self.camera is not None
 
     @property
     def simulator_arguments(self) -> tuple[str, ...] | None:
-        """Of `python -m sim_backend`: the simulator that the driver talks to; None where it talks to a real arm."""
+        """Arguments of `python -m sim_backend` for the driver's simulator; None for a real arm."""
         sim, ur = self.sim, self.ur
         world = ("--world", sim.world, "--listen", sim.endpoint)
         if self.cell.driver == "zenoh_sim":

@@ -1,10 +1,10 @@
-"""Every reason for which the cell refuses, fails or latches: one enumeration for loop, API, documents and tests."""
+"""The fault codes: the one enumeration for loop, API, documents and tests."""
 
 from enum import StrEnum
 
 
 class FaultCode(StrEnum):
-    """Codes are stable: they stand in run records, API answers and `docs/reference/faults.md`."""
+    """Reason why a run failed or a cell latched. `docs/reference/faults.md` explains each code; codes do not change."""
 
     FORCE_CEILING = "FORCE_CEILING"
     SENSOR_INVALID = "SENSOR_INVALID"

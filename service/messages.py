@@ -1,4 +1,4 @@
-"""What crosses the wire between a cell's control process and its clients: JSON under `cell/<id>/`.
+"""Messages between a cell's control process and its clients: JSON under `cell/<id>/`.
 
 | key | kind | request | answer or payload |
 |---|---|---|---|
@@ -11,9 +11,9 @@
 | `status` | publication, `HEARTBEAT_S`, which is also the heartbeat | | `Status` |
 | `event` | publication, as they happen | | `Event` |
 | `telemetry` | publication, about 50 Hz | | `Telemetry` |
-| `client` | subscription: a client is there, every `CLIENT_HEARTBEAT_S` | | anything |
+| `client` | subscription: every client, every `CLIENT_HEARTBEAT_S` | | anything |
 
-Frames, units and signs are those of `docs/reference/frames.md`; times of day are seconds since the Unix epoch.
+`docs/reference/frames.md` defines frames, units and signs. Times of day are seconds since the Unix epoch.
 """
 
 from enum import StrEnum
@@ -27,10 +27,10 @@ SCHEMA_VERSION = 1
 HEARTBEAT_S = 0.05
 """Period of the status publication."""
 CLIENT_HEARTBEAT_S = 0.1
-"""Period in which a client says that it is there."""
+"""Period of a client's sign of presence."""
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
-"""Cells and recipes: safe in a key expression, a path and a URL."""
+"""Pattern of names of cells and recipes: safe in a key expression, a path and a URL."""
 
 START = "cell/{cell}/command/start"
 STOP = "cell/{cell}/command/stop"
@@ -45,7 +45,7 @@ CLIENT = "cell/{cell}/client"
 
 
 class CellState(StrEnum):
-    """What the cell is doing; the allowed changes stand in `service/cell/states.py`."""
+    """State of a cell; `service/cell/states.py` has the allowed changes."""
 
     OFFLINE = "OFFLINE"
     CONNECTING = "CONNECTING"
@@ -57,39 +57,41 @@ class CellState(StrEnum):
     STOPPING = "STOPPING"
     LATCHED = "LATCHED"
     UNKNOWN = "UNKNOWN"
-    """Never said by a cell: what a client says of one that is silent."""
+    """A client shows a silent cell as UNKNOWN; no cell is ever in this state."""
 
 
 class RunState(StrEnum):
+    """State of a run; all but ACTIVE are final."""
+
     ACTIVE = "ACTIVE"
     SUCCEEDED = "SUCCEEDED"
     FAILED = "FAILED"
-    """Ended by itself without the peg in the hole; the cell is READY again."""
+    """The run ended by itself without the peg in the hole; the cell is READY again."""
     STOPPED = "STOPPED"
-    """Stopped by an operator or a client."""
+    """An operator stopped the run, or no client was heard any more."""
     LATCHED = "LATCHED"
-    """Ended by a fault that latched the cell."""
+    """A fault ended the run and latched the cell."""
     INTERRUPTED = "INTERRUPTED"
     """The control process ended before the run did."""
 
 
 class RefusalReason(StrEnum):
-    """Why a request was refused."""
+    """Kind of a refusal."""
 
     INVALID_REQUEST = "INVALID_REQUEST"
     UNKNOWN_RECIPE = "UNKNOWN_RECIPE"
     UNKNOWN_RUN = "UNKNOWN_RUN"
     EXPIRED = "EXPIRED"
-    """The request arrived after the time until which its sender wanted it carried out."""
+    """The request arrived after its `valid_until`."""
     WRONG_STATE = "WRONG_STATE"
     LATCHED = "LATCHED"
     NOT_LATCHED = "NOT_LATCHED"
     FORCE_ABOVE_LIMIT = "FORCE_ABOVE_LIMIT"
     NO_MEASUREMENT = "NO_MEASUREMENT"
-    """No fresh sample to judge the arm by."""
+    """There is no fresh sample of the arm."""
     POLICY_REFUSED = "POLICY_REFUSED"
     STORAGE = "STORAGE"
-    """The state directory cannot take a record of the run."""
+    """The state directory cannot be written."""
     INTERNAL = "INTERNAL"
 
 
@@ -107,11 +109,11 @@ class StartRequest(Message):
 
     Attributes:
         recipe: name of a recipe in the cell's configuration.
-        seed: of the simulated world; None draws one. A real arm refuses a seed.
-        idempotency_key: the same key again answers with the same run and starts nothing.
-        requested_by: who asks, for the record.
-        valid_until: a start that arrives later than this is refused; None: never too late. So nothing moves for a
-            request that lay in a queue while the control process was frozen, and whose sender has given up.
+        seed: seed of the simulated world; None draws one. A real arm refuses a seed.
+        idempotency_key: a second start with the same key starts nothing and is answered with the first one's run.
+        requested_by: person or program that asks, for the record.
+        valid_until: a start that arrives later is refused; None: never. It keeps the arm from moving for a request that
+            waited while the control process was frozen, and whose sender has given up.
     """
 
     recipe: str = Field(pattern=NAME_PATTERN)
@@ -129,11 +131,12 @@ class StopRequest(Message):
 
 
 class ResetRequest(Message):
-    """Acknowledge the latched fault; moves nothing.
+    """Acknowledge the latched fault; nothing moves.
 
     Attributes:
-        acknowledge: the code that the operator saw; another one in force is refused. None acknowledges any.
-        comment: what was found, for the record.
+        acknowledge: the code that the operator saw; the reset is refused where another is in force. None acknowledges
+            any.
+        comment: the operator's findings, for the record.
     """
 
     acknowledge: FaultCode | None = None
@@ -142,16 +145,20 @@ class ResetRequest(Message):
 
 
 class RunsRequest(Message):
+    """Ask for runs, newest first."""
+
     limit: int = Field(default=50, ge=1, le=500)
     before: str | None = Field(default=None, max_length=64)
-    """Only runs older than this one."""
+    """Id of a run; only older ones are returned."""
 
 
 class RunRequest(Message):
+    """Ask for one run."""
+
     run_id: str = Field(min_length=1, max_length=64)
 
 
-# --- what is told
+# --- publications
 
 
 class Latch(Message):
@@ -169,11 +176,11 @@ class Run(Message):
 
     Attributes:
         code: why it did not succeed; None while it is under way and for a success.
-        phase: of the dynamic safety lock, at the last policy step.
+        phase: phase of the dynamic safety lock at the last policy step.
         steps: policy steps taken.
-        depth_m: how far the peg's bottom is, or was at the end, below the hole's surface by the cell's own measure.
-        peak_force_n: largest resultant of any sample since the run was accepted.
-        duration_s: from the first approach move, on the samples' clock.
+        depth_m: depth of the peg's bottom below the hole's surface at the last policy step, as the cell measures it.
+        peak_force_n: largest resultant force of any sample since the run was accepted.
+        duration_s: time since the first approach move, on the samples' clock.
     """
 
     id: str
@@ -195,15 +202,15 @@ class Run(Message):
 
 
 class Measured(Message):
-    """The newest sample of the arm: measured, never merely commanded.
+    """The newest sample of the arm; every value is measured.
 
     Attributes:
         sample_age_s: time since it arrived, on the cell's clock.
-        force_n: (3,) what the environment does to the tool, base frame.
+        force_n: (3,) force of the environment on the tool, base frame.
         torque_nm: (3,) about the TCP, base frame.
         tcp_position_m: (3,) base frame.
         tcp_speed_m_s: magnitude of the TCP's translational velocity.
-        moving: the TCP or a joint moves faster than standstill allows.
+        moving: whether the TCP or a joint moves faster than standstill allows.
     """
 
     sample_age_s: float
@@ -220,30 +227,32 @@ class Measured(Message):
 
 
 class Counters(Message):
+    """Counts since the control process started."""
+
     samples: int = 0
     samples_ignored: int = 0
-    """Duplicates and samples older than one already seen."""
+    """Duplicates, and samples older than an earlier one."""
     samples_missed: int = 0
-    """Gaps in the sequence: published by the arm, never seen here."""
+    """Samples missing from the sequence: the arm published them, and they did not arrive."""
     samples_dropped: int = 0
-    """Arrived faster than the loop took them; the largest force among them was judged all the same."""
+    """Samples that the loop was too slow to take; the largest force among them was judged."""
     telemetry_dropped: int = 0
     loop_overruns: int = 0
 
 
 class Status(Message):
-    """All that a client needs to show of a cell."""
+    """Everything that a client shows of a cell."""
 
     schema_version: Literal[1] = 1
     cell: str
     service_epoch: str
-    """Drawn when the control process starts; another value means that it was restarted."""
+    """Identity of the control process; another value means that it was restarted."""
     seq: int
     time: float
     state: CellState
     can_start: bool
     why_not: str | None = None
-    """Why `can_start` is false, for people."""
+    """Reason why `can_start` is false, for people."""
     latch: Latch | None = None
     run: Run | None = None
     """The run under way, else the last one of this process."""
@@ -252,13 +261,15 @@ class Status(Message):
     mode: Literal["real_time", "lockstep"]
     recipes: tuple[str, ...]
     force_ceiling_n: float
-    """In force: the cell's, or that of the run's recipe, which stays until the next run or a new link."""
+    """Force ceiling in force: that of the last run's recipe until the next run or a new link, else the cell's."""
     degradations: tuple[str, ...] = ()
-    """What this host does not permit (real-time scheduling, say); the cell works without it, less exactly."""
+    """Things that this host does not permit (real-time scheduling, say); the cell works less exactly without them."""
     counters: Counters = Counters()
 
 
 class EventKind(StrEnum):
+    """Kind of an event."""
+
     STATE = "STATE"
     RUN = "RUN"
     FAULT = "FAULT"
@@ -267,7 +278,7 @@ class EventKind(StrEnum):
 
 
 class Event(Message):
-    """Something worth a line in the journal. `seq` increases by one within one `service_epoch`."""
+    """One line of the journal. `seq` increases by one within one `service_epoch`."""
 
     service_epoch: str
     seq: int
@@ -284,11 +295,11 @@ class Telemetry(Message):
 
     Attributes:
         t: time of the sample on the arm's clock, s.
-        force_peak_n: largest |F| of any sample since the last point, so that thinning out hides no peak.
+        force_peak_n: largest |F| of any sample since the last point; thinning out hides no peak.
         tcp_z_m: height of the peg's bottom, base frame.
         z_lock_m: lowest height that the lock permits; None while it seeks, or outside a run.
-        depth_m: below the hole's surface as far as the cell knows it; None outside a run.
-        phase: of the lock.
+        depth_m: depth below the hole's surface, as far as the cell knows it; None outside a run.
+        phase: phase of the lock.
     """
 
     t: float
@@ -310,11 +321,11 @@ class Problem(Message):
     """A refusal.
 
     Attributes:
-        reason: what kind of refusal.
-        detail: what is wrong, where, and what to do about it.
+        reason: kind of refusal.
+        detail: says what is wrong, where, and what to do about it.
         code: the fault in force, where there is one.
         state: the cell's state when it refused.
-        field: the request's field that is wrong, where it is one.
+        field: the field of the request that is wrong, where one is.
     """
 
     reason: RefusalReason
@@ -325,23 +336,31 @@ class Problem(Message):
 
 
 class Refused(Message):
+    """The cell refused the request."""
+
     kind: Literal["refused"] = "refused"
     problem: Problem
 
 
 class StatusResult(Message):
+    """The cell did as asked; its status follows."""
+
     kind: Literal["status"] = "status"
     status: Status
 
 
 class RunResult(Message):
+    """The run that was asked for."""
+
     kind: Literal["run"] = "run"
     run: Run
     created: bool
-    """False where an idempotency key found a run that was there already, and for a query."""
+    """False for a query, and where an idempotency key found an earlier run."""
 
 
 class RunsResult(Message):
+    """The runs that were asked for."""
+
     kind: Literal["runs"] = "runs"
     runs: tuple[Run, ...]
     """Newest first."""

@@ -100,15 +100,9 @@ def test_no_file_or_folder_is_a_junk_drawer() -> None:
     assert not drawers
 
 
-LONG_FOR_A_REASON = {
-    # the order in which monitor, stop, latch and run act on one sample stands in one place
-    "service/cell/cell.py": 500,
-}
-
-
 def test_no_module_is_too_long_to_read_in_one_sitting() -> None:
     lengths = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in (*MODULES, *TESTS)}
-    assert not {name: length for name, length in lengths.items() if length > LONG_FOR_A_REASON.get(name, 450)}
+    assert not {name: length for name, length in lengths.items() if length > 450}
 
 
 def test_nothing_of_ours_bears_the_name_of_a_certified_function() -> None:

@@ -3,7 +3,7 @@
 There are three packed records: a cell sends `STATE` once per 2 ms tick, a client sends `COMMAND`, and a cell whose arm
 speaks another protocol sends `CAMERA`. Every record starts with the same eight bytes (magic, version, kind), so a
 reader refuses an unreadable record before it reads the rest.
-A change of a layout requires a higher `VERSION`. `docs/explanation/architecture.md` defines frames, units and signs.
+A change of a layout requires a higher `VERSION`. `docs/reference/frames.md` defines frames, units and signs.
 """
 
 from enum import IntEnum

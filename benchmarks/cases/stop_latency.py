@@ -13,7 +13,7 @@ from benchmarks.harness.stopwatch import timed
 from benchmarks.stands.shipped_cell import ShippedCell, shipped_cell
 from benchmarks.stands.tripping_world import FORCE_N, TRIP
 from service.cell.cell import Cell
-from service.cell.process import standing
+from service.cell.process import attended
 from service.client import CellClient
 from service.messages import CellState, ResetRequest, StartRequest
 from service.testing.in_process import InProcessDriver
@@ -68,7 +68,7 @@ def _echo(count: int) -> list[float]:
 async def _inside(shipped: ShippedCell, count: int) -> list[float]:
     taken: list[float] = []
     cell = Cell(shipped.config, InProcessDriver(SimulatedCell()))
-    async with standing(cell):
+    async with attended(cell):
         for seed in range(count):
             await _state(cell, CellState.READY)
             await cell.start(StartRequest(recipe=shipped.recipe, seed=seed))

@@ -12,7 +12,7 @@ from benchmarks.harness.result import QUANTILES, Result, UnavailableError, media
 from benchmarks.harness.stopwatch import timed
 from benchmarks.stands.shipped_cell import ShippedCell, shipped_cell
 from service.cell.cell import Cell
-from service.cell.process import standing
+from service.cell.process import attended
 from service.messages import CellState, RunResult, StartRequest
 from service.policy.model import Policy
 from service.testing.in_process import InProcessDriver
@@ -56,7 +56,7 @@ def measure(scale: float) -> Result:
 
 async def _insert(shipped: ShippedCell, runs: int) -> None:
     cell = Cell(shipped.config, InProcessDriver(SimulatedCell()))
-    async with standing(cell):
+    async with attended(cell):
         for seed in range(runs):
             await _until_ready(cell)
             answer = await cell.start(StartRequest(recipe=shipped.recipe, seed=seed))

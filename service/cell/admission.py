@@ -1,4 +1,4 @@
-"""Whether a start or a reset is accepted: pure decisions, each with what the asker should do about it."""
+"""Decisions to accept or refuse a start or a reset. Every refusal says what to do about it."""
 
 import math
 from dataclasses import dataclass
@@ -7,23 +7,23 @@ from service.cell import report
 from service.cell.states import StateMachine
 from service.config import CellConfig, LimitsSection
 from service.drivers.base import Program, Sample
-from service.messages import CellState, Latch, Problem, RefusalReason, ResetRequest, StartRequest
+from service.messages import CellState, Latch, Problem, RefusalReason, Refused, ResetRequest, StartRequest
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
-    """How the cell stands when it is asked.
+class Situation:
+    """Everything about the cell that decides a request.
 
     Attributes:
-        states: its state, and what the table allows.
+        states: its state, and the transitions that the table allows.
         latch: in force.
-        link_text: why nothing is heard of the arm; None while samples come.
+        link_text: why the arm is not heard; None while samples come.
         storage_text: why the disk cannot be relied on; None while it can.
-        sample: the newest.
+        sample: the newest believed one.
         sample_age_s: its age; infinite without one.
-        force_n: resultant of the newest believed sample.
+        force_n: its resultant force.
         force_ceiling_n: in force.
-        resetting: another reset is being written.
+        resetting: whether an earlier reset is not finished.
     """
 
     states: StateMachine
@@ -37,68 +37,77 @@ class Standing:
     resetting: bool
 
     def problem(self, reason: RefusalReason, detail: str, field: str | None = None) -> Problem:
-        """A refusal in this standing."""
+        """Return a refusal in this situation."""
         code = None if self.latch is None else self.latch.code
         return Problem(reason=reason, detail=detail, code=code, state=self.states.state, field=field)
 
 
 def why_not_start(
-    standing: Standing, request: StartRequest | None, config: CellConfig, simulated: bool
+    situation: Situation, request: StartRequest | None, config: CellConfig, simulated: bool
 ) -> Problem | None:
-    """Say why a start is refused; None where it is not.
+    """Return the reason to refuse a start; None where it is accepted.
 
     Args:
-        standing: of the cell.
-        request: None asks whether any start would be accepted.
+        situation: of the cell.
+        request: None: any start.
         config: of the cell.
         simulated: whether the arm's world takes a seed.
     """
-    latch, states = standing.latch, standing.states
+    latch, states = situation.latch, situation.states
     if latch is not None:
-        return standing.problem(RefusalReason.LATCHED, f"latched by {latch.code}: {latch.text}; reset it first")
+        return situation.problem(RefusalReason.LATCHED, f"latched by {latch.code}: {latch.text}; reset it first")
     if not states.allows(CellState.PREFLIGHT):
-        why = standing.link_text or "wait until it is READY"
-        return standing.problem(RefusalReason.WRONG_STATE, f"the cell is {states.state}: {why}")
-    if standing.link_text is not None:
-        return standing.problem(RefusalReason.NO_MEASUREMENT, f"the arm is not measured: {standing.link_text}")
-    if standing.storage_text is not None:
-        text = f"the state directory cannot be written: {standing.storage_text}"
-        return standing.problem(RefusalReason.STORAGE, text)
+        why = situation.link_text or "wait until it is READY"
+        return situation.problem(RefusalReason.WRONG_STATE, f"the cell is {states.state}: {why}")
+    if situation.link_text is not None:
+        return situation.problem(RefusalReason.NO_MEASUREMENT, f"the arm is not measured: {situation.link_text}")
+    if situation.storage_text is not None:
+        text = f"the state directory cannot be written: {situation.storage_text}"
+        return situation.problem(RefusalReason.STORAGE, text)
     if request is None:
         return None
     if request.recipe not in config.recipes:
         text = f"no recipe {request.recipe!r}; there are {', '.join(config.recipes)}"
-        return standing.problem(RefusalReason.UNKNOWN_RECIPE, text, "recipe")
+        return situation.problem(RefusalReason.UNKNOWN_RECIPE, text, "recipe")
     if request.seed is not None and not simulated:
-        return standing.problem(RefusalReason.INVALID_REQUEST, "a real arm has no seed: leave it out", "seed")
+        return situation.problem(RefusalReason.INVALID_REQUEST, "a real arm has no seed: leave it out", "seed")
     return None
 
 
-def why_not_reset(standing: Standing, request: ResetRequest, limits: LimitsSection) -> Problem | None:
-    """Say why a reset is refused; None where it is not."""
-    latch, sample = standing.latch, standing.sample
+def why_not_reset(situation: Situation, request: ResetRequest, limits: LimitsSection) -> Problem | None:
+    """Return the reason to refuse a reset; None where it is accepted."""
+    latch, sample = situation.latch, situation.sample
     if latch is None:
-        return standing.problem(RefusalReason.NOT_LATCHED, "nothing is latched; a reset cannot be given in advance")
-    if standing.states.state is not CellState.LATCHED or standing.resetting:
-        return standing.problem(RefusalReason.WRONG_STATE, "the stop or another reset is not finished: try again")
+        return situation.problem(RefusalReason.NOT_LATCHED, "nothing is latched; a reset cannot be given in advance")
+    if situation.states.state is not CellState.LATCHED or situation.resetting:
+        return situation.problem(RefusalReason.WRONG_STATE, "the stop or another reset is not finished: try again")
     if request.acknowledge is not None and request.acknowledge is not latch.code:
-        return standing.problem(RefusalReason.LATCHED, f"latched is {latch.code}: look at that one", "acknowledge")
-    if sample is None or standing.link_text is not None or standing.sample_age_s >= limits.sample_age_s:
-        why = standing.link_text or f"the newest sample is {standing.sample_age_s:.3g} s old"
-        return standing.problem(RefusalReason.NO_MEASUREMENT, f"the arm is not measured: {why}; restore the link first")
+        text = f"the latch in force is {latch.code}: inspect that fault, then acknowledge it"
+        return situation.problem(RefusalReason.LATCHED, text, "acknowledge")
+    if sample is None or situation.link_text is not None or situation.sample_age_s >= limits.sample_age_s:
+        why = situation.link_text or f"the newest sample is {situation.sample_age_s:.3g} s old"
+        return situation.problem(
+            RefusalReason.NO_MEASUREMENT, f"the arm is not measured: {why}; restore the link first"
+        )
     if sample.program is Program.PROTECTIVE_STOP:
         text = "the arm is in its protective stop; its release was asked for: try again in some seconds"
-        return standing.problem(RefusalReason.WRONG_STATE, text)
+        return situation.problem(RefusalReason.WRONG_STATE, text)
     if sample.program is not Program.IDLE:
-        text = f"the arm's program is {sample.program.name}: it is being stopped; try again when it rests"
-        return standing.problem(RefusalReason.WRONG_STATE, text)
+        text = f"the arm's program is {sample.program.name} and is being stopped: try again when it is IDLE"
+        return situation.problem(RefusalReason.WRONG_STATE, text)
     if report.measured(sample, 0.0).moving:
-        return standing.problem(RefusalReason.WRONG_STATE, "the arm is moving")
-    if standing.force_n >= standing.force_ceiling_n or sample.saturated:
-        text = f"{standing.force_n:.1f} N are measured, the ceiling is {standing.force_ceiling_n:g} N: relieve the tool"
-        return standing.problem(RefusalReason.FORCE_ABOVE_LIMIT, text)
+        return situation.problem(RefusalReason.WRONG_STATE, "the arm is moving")
+    if situation.force_n >= situation.force_ceiling_n or sample.saturated:
+        ceiling_n = situation.force_ceiling_n
+        text = f"{situation.force_n:.1f} N are measured, the ceiling is {ceiling_n:g} N: relieve the tool"
+        return situation.problem(RefusalReason.FORCE_ABOVE_LIMIT, text)
     torque_nm = math.hypot(*sample.wrench[3:])
     if torque_nm >= limits.torque_ceiling_nm:
         text = f"{torque_nm:.2f} N·m are measured, the ceiling is {limits.torque_ceiling_nm:g} N·m: relieve the tool"
-        return standing.problem(RefusalReason.FORCE_ABOVE_LIMIT, text)
+        return situation.problem(RefusalReason.FORCE_ABOVE_LIMIT, text)
     return None
+
+
+def refused(state: CellState, reason: RefusalReason, detail: str, field: str | None = None) -> Refused:
+    """Return a refusal for a reason that lies outside the situation."""
+    return Refused(problem=Problem(reason=reason, detail=detail, state=state, field=field))

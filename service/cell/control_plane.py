@@ -1,7 +1,7 @@
-"""The cell on Zenoh: commands, queries, and what it publishes. `service/messages.py` has the keys.
+"""The cell on Zenoh: commands, queries and publications. `service/messages.py` has the keys.
 
-Zenoh's threads decode nothing and touch nothing of the cell: they hand each query to the event loop. There a stop is
-carried out in the turn in which it arrives, whatever other queries are waiting for.
+Zenoh's threads decode nothing and touch nothing of the cell: they hand each query to the event loop. A stop is carried
+out in the turn of the loop in which it arrives, even while other queries wait.
 """
 
 import asyncio
@@ -13,12 +13,12 @@ import zenoh
 from pydantic import ValidationError
 
 from service import messages
+from service.cell.admission import refused
 from service.cell.cell import Cell
-from service.cell.records import TickRecord
+from service.cell.tick_record import TickRecord
 from service.messages import (
     Event,
     Message,
-    Problem,
     RefusalReason,
     Refused,
     ResetRequest,
@@ -35,7 +35,7 @@ from wire.session import call_in_loop
 
 MAX_REQUEST_BYTES = 16_384
 MAX_OPEN_QUERIES = 64
-"""Requests that may wait for their answer, a stop not counted; more are refused."""
+"""Largest number of requests that wait for their answer; more are refused. A stop is not counted."""
 
 RequestT = TypeVar("RequestT", bound=Message)
 Handler = Callable[[zenoh.Query, bytes], None]
@@ -47,8 +47,8 @@ class ControlPlane:
     """Serves one cell. Made and used on the cell's event loop.
 
     Args:
-        cell: what is served; this becomes one of its observers.
-        session: open; the caller closes it, which ends the service.
+        cell: the cell to serve; this becomes one of its observers.
+        session: open. The caller closes it, which ends the service.
     """
 
     def __init__(self, cell: Cell, session: zenoh.Session) -> None:
@@ -76,13 +76,13 @@ class ControlPlane:
             try:
                 self._put(self._status, self._cell.status())
             except Exception:
-                _log.exception("status")  # the next one may be well again; without any, clients think the cell dead
+                _log.exception("status")  # go on: without a heartbeat, clients take the cell for dead
             await asyncio.sleep(messages.HEARTBEAT_S)
 
     # --- as the cell's observer
 
     def on_event(self, event: Event) -> None:
-        """Publish an event, and the status with it, so that nobody waits a heartbeat for a change."""
+        """Publish an event, and the status with it: a change is seen before the next heartbeat."""
         self._put(self._event, event)
         self._put(self._status, self._cell.status())
 
@@ -91,12 +91,12 @@ class ControlPlane:
         self._put(self._telemetry, point)
 
     def on_tick(self, record: TickRecord) -> None:
-        """Telemetry carries what is shown of it."""
+        """Publish nothing: telemetry carries what is shown of a step."""
 
     # --- requests
 
     def _on_stop(self, query: zenoh.Query, payload: bytes) -> None:
-        # Whatever the request says, it means stop: one that cannot be read stops as well.
+        # A request that cannot be read stops, too.
         try:
             request = StopRequest.model_validate_json(payload or b"{}")
         except ValidationError:
@@ -113,8 +113,7 @@ class ControlPlane:
         return await self._cell.reset(request)
 
     async def _runs(self, request: RunsRequest) -> Message:
-        runs = self._cell.journal.ledger.newest(request.limit, request.before)
-        return RunsResult(runs=runs)
+        return RunsResult(runs=self._cell.runs.newest(request.limit, request.before))
 
     async def _run(self, request: RunRequest) -> Message:
         run = self._cell.runs.find(request.run_id)
@@ -179,4 +178,4 @@ class ControlPlane:
                 _log.warning("reply", key=str(query.key_expr), error=str(error))
 
     def _refused(self, reason: RefusalReason, detail: str, field: str | None = None) -> Refused:
-        return Refused(problem=Problem(reason=reason, detail=detail, state=self._cell.state, field=field))
+        return refused(self._cell.state, reason, detail, field)

@@ -1,4 +1,4 @@
-"""Who computes the policy's answer, and where: in the loop when time waits for it, on a thread when it does not."""
+"""Computation of the policy's answer: in the event loop in lockstep, on a thread in real time."""
 
 import asyncio
 from collections.abc import Callable
@@ -13,28 +13,28 @@ OnFailure = Callable[[Exception], None]
 
 
 class Inference(Protocol):
-    """One run's policy. Answers on the event loop's thread, each `ask` once at most."""
+    """The policy of one run. Every `ask` is answered at most once, on the event loop's thread."""
 
     def ask(self, observation: Float32Array) -> None: ...
 
     def close(self) -> None:
-        """No answer comes after this."""
+        """Give no answer any more."""
         ...
 
 
 class InferenceKind(Protocol):
-    """How runs of a cell get their `Inference`: one of the two classes below."""
+    """Constructor of an `Inference`: one of the two classes below."""
 
     def __call__(self, policy: Policy, on_action: OnAction, on_failure: OnFailure) -> Inference: ...
 
 
 class InlineInference:
-    """Computes before `ask` returns: in lockstep no time passes meanwhile.
+    """Computes before `ask` returns; in lockstep no time passes meanwhile.
 
     Args:
         policy: loaded.
         on_action: takes the action.
-        on_failure: takes what the policy raised.
+        on_failure: takes the policy's exception.
     """
 
     def __init__(self, policy: Policy, on_action: OnAction, on_failure: OnFailure) -> None:
@@ -52,16 +52,16 @@ class InlineInference:
             self._on_action(action)
 
     def close(self) -> None:
-        """Nothing is under way between two calls."""
+        """Do nothing: no computation is under way between two calls."""
 
 
 class ThreadInference:
-    """Computes on a thread of its own, so that the monitor sees every sample meanwhile; the run holds until it answers.
+    """Computes on its own thread: the monitor sees every sample meanwhile, and the run holds its last target.
 
     Args:
         policy: loaded.
         on_action: takes the action.
-        on_failure: takes what the policy raised.
+        on_failure: takes the policy's exception.
     """
 
     def __init__(self, policy: Policy, on_action: OnAction, on_failure: OnFailure) -> None:

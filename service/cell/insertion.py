@@ -1,6 +1,6 @@
 """One insertion from pre-flight to retract, driven by samples: no clock, no driver, no event loop.
 
-Every sample that the monitor has passed goes in, orders come out, in the order in which they are to be carried out.
+Every sample that the monitor has passed goes in; orders come out, in the order in which they must be carried out.
 """
 
 from collections import deque
@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from service.cell.arm_stops import why_not_drive
+from service.cell.orders import Disengage, Engage, Fail, Halt, Infer, Move, Order, Succeed, ZeroFt
 from service.cell.path import Progress, StraightPath
 from service.cell.plan import Plan
-from service.cell.records import Disengage, Engage, Enter, Fail, Halt, Infer, Move, Order, Succeed, TickRecord, ZeroFt
-from service.drivers.base import PoseTarget, Program, RobotMode, SafetyMode, Sample, StopReason
+from service.cell.tick_record import TickRecord
+from service.drivers.base import PoseTarget, Program, Sample
 from service.faults import FaultCode
-from service.messages import CellState
 from service.policy.step import Seen
 from service.safety import dsl, preflight
 from service.safety.pose import rotvec_from_yaw, yaw_and_tilt
@@ -25,57 +26,45 @@ from service.safety.stop import STANDSTILL_M_S
 from wire.arrays import Float32Array, FloatArray
 
 ZEROING_TRIES = 12
-"""Zeroing takes one noisy reading, so an unlucky one is repeated; contact is not."""
+"""Largest number of zeroings: each takes one noisy reading, so a bias may need another; contact gets none."""
 SETTLE_TICKS = 25
-"""Samples after zeroing that may still be from before: command, sensor and transport delay."""
+"""Samples after zeroing that may still show the old zero: command, sensor and transport delay."""
 STANDSTILL_TICKS = 1000
-"""Samples in which the arm must be found standing, its program idle, before the sensor is zeroed."""
+"""Samples in which the arm must come to rest, its program idle, before the sensor is zeroed."""
 ENGAGE_TICKS = 250
-"""Samples in which the arm must have engaged."""
+"""Samples in which the arm must engage."""
 APPROACH_TICKS = 5
 """Samples between two targets of a scripted move."""
 SAFE_RISE_M = 0.01
-"""How far above the higher of start and hover the approach crosses over."""
+"""Height of the crossing above the higher of start and hover, m."""
 OUTRAGEOUS_ACTION = 10.0
-"""An action this many times its limit counts towards `clamped_steps`; trained policies stay within a few times."""
+"""Multiple of an action's limit that counts towards `clamped_steps`; trained policies stay within a few times."""
 OUTRAGEOUS_CHANGE = 3.0
-"""So does a change of target this many times the allowed one."""
+"""Multiple of the allowed change of target that counts as well."""
 SUCCESS_STEPS = 2
+"""Policy steps in a row below `success_depth_m` that count as inserted."""
 SURFACE_DOUBT_M = 2.5e-3
-"""A first contact further than this from the estimated surface was not the surface: the tip was in the hole already."""
-
-ARM_STOPS: dict[StopReason, FaultCode] = {
-    StopReason.NONE: FaultCode.LINK,
-    StopReason.COMMAND: FaultCode.AUTHORITY,
-    StopReason.FORCE_CEILING: FaultCode.FORCE_CEILING,
-    StopReason.TARGET_AGE: FaultCode.LINK,
-    StopReason.TARGET_REJECTED: FaultCode.BOUNDS,
-    StopReason.JOINT_LIMIT: FaultCode.KINEMATICS,
-    StopReason.KINEMATICS: FaultCode.KINEMATICS,
-    StopReason.PROTECTIVE_FORCE: FaultCode.PROTECTIVE_STOP,
-    StopReason.LEASE: FaultCode.AUTHORITY,
-    StopReason.PROGRAM_ENDED: FaultCode.AUTHORITY,
-}
-"""What it means when the arm's own controller stops under us."""
+"""A first contact further than this from the estimated surface is not the surface: the tip was already in the hole."""
 
 
 class Stage(StrEnum):
+    """Stages of an insertion, in their order."""
+
     ZEROING = "ZEROING"
     CHECKING = "CHECKING"
     ENGAGING = "ENGAGING"
     APPROACHING = "APPROACHING"
     INSERTING = "INSERTING"
     RETRACTING = "RETRACTING"
-    ENDED = "ENDED"
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What the policy was asked, until it answers.
+    """The question to the policy that is not answered yet.
 
     Attributes:
-        sample: from which.
-        seen: what was measured then.
+        sample: the newest one when it was asked.
+        seen: the measurements of that moment.
         observation: (n,) float32, as the policy got it.
     """
 
@@ -85,16 +74,21 @@ class Asked:
 
 
 class Insertion:
-    """One run's progress. Not used again after it has ended.
+    """Decides what the arm does next in one run. Used once.
 
     Args:
-        plan: its numbers.
+        plan: of this insertion.
+
+    Attributes:
+        steps: policy steps taken.
+        last: record of the last policy step; None before the first.
     """
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._stage = Stage.ZEROING
         self._stage_seq = -1
+        self._ended = False
         self._zeroings = 0
         self._window: deque[FloatArray] = deque(maxlen=max(plan.step.ticks, plan.preflight.window_samples))
         self._estimates: list[FloatArray] = []
@@ -114,19 +108,21 @@ class Insertion:
 
     @property
     def stage(self) -> Stage:
+        """Stage in which the insertion is, or in which it ended."""
         return self._stage
 
     @property
     def depth_m(self) -> float | None:
-        """Of the peg's bottom below the surface, at the last policy step."""
+        """Depth of the peg's bottom below the surface at the last policy step."""
         return None if self.last is None else self.last.depth_m
 
     @property
     def phase(self) -> str | None:
+        """Phase of the lock at the last policy step."""
         return None if self.last is None else dsl.Phase(int(self.last.dsl.phase)).name
 
     def duration_s(self, now_s: float) -> float:
-        """Time since the first approach move, on the samples' clock."""
+        """Return the time since the first approach move, on the samples' clock."""
         return 0.0 if self._started_s is None else (self._ended_s or now_s) - self._started_s
 
     def on_sample(self, sample: Sample) -> list[Order]:
@@ -134,12 +130,12 @@ class Insertion:
         return list(self._advance(sample))
 
     def take_action(self, action: npt.NDArray[np.floating[Any]]) -> list[Order]:
-        """Take in the policy's answer to the last `Infer`; one that comes after the run's end is dropped.
+        """Take in the policy's answer to the last `Infer`; an answer after the run's end is dropped.
 
         Args:
             action: (m,) as the contract has it.
         """
-        if self._stage is not Stage.INSERTING or self._asked is None:
+        if self._ended or self._stage is not Stage.INSERTING or self._asked is None:
             return []
         asked, self._asked = self._asked, None
         return list(self._act(asked, np.asarray(action, np.float64)))
@@ -147,8 +143,11 @@ class Insertion:
     # --- stages
 
     def _advance(self, sample: Sample) -> Iterator[Order]:
-        if (halt := self._judge_arm(sample)) is not None:
-            self._stage = Stage.ENDED
+        if self._ended:
+            return
+        driven = self._stage in (Stage.APPROACHING, Stage.INSERTING, Stage.RETRACTING)
+        if (halt := why_not_drive(sample, engaged=driven)) is not None:
+            self._ended = True
             yield halt
             return
         self._window.append(sample.wrench)
@@ -167,28 +166,16 @@ class Insertion:
                 yield from self._insert(sample)
             case Stage.RETRACTING:
                 yield from self._retract(sample)
-            case Stage.ENDED:
-                return
-
-    def _judge_arm(self, sample: Sample) -> Halt | None:
-        if sample.program is Program.PROTECTIVE_STOP:
-            return Halt(FaultCode.PROTECTIVE_STOP, "the arm is in its protective stop: inspect the cell, then reset")
-        if sample.robot_mode != RobotMode.RUNNING or sample.safety_mode != SafetyMode.NORMAL:
-            modes = f"robot mode {sample.robot_mode}, safety mode {sample.safety_mode}"
-            return Halt(FaultCode.AUTHORITY, f"the arm is not ours to move: {modes}")
-        driven = self._stage in (Stage.APPROACHING, Stage.INSERTING, Stage.RETRACTING)
-        if driven and sample.program is not Program.ENGAGED:
-            reason = sample.stop_reason
-            return Halt(ARM_STOPS[reason], f"the arm's controller stopped by itself: {reason.name}")
-        return None
 
     def _await_free(self, sample: Sample) -> Iterator[Order]:
-        """Zero only a tool that stands and carries nothing: contact would be zeroed away."""
+        """Zero the sensor once the tool stands and carries nothing; zeroing in contact would hide the contact."""
         still = float(np.linalg.norm(sample.tcp_velocity[:3])) < STANDSTILL_M_S
         if sample.program is not Program.IDLE or not still:
             self._window.clear()
             if sample.seq - self._stage_seq > STANDSTILL_TICKS:
-                text = f"the arm does not stand, or its program does not rest ({sample.program.name}): who drives it?"
+                text = (
+                    f"the arm moves, or its program is not idle ({sample.program.name}): does another client drive it?"
+                )
                 yield from self._fail(FaultCode.AUTHORITY, text)
         elif len(self._window) >= self._plan.preflight.window_samples:
             verdict = preflight.check_unzeroed(self._plan.preflight, np.array(self._window))
@@ -230,15 +217,14 @@ class Insertion:
             return
         self._started_s = sample.time_s
         self._go(Stage.ENGAGING, sample)
-        yield Enter(CellState.APPROACH)
         yield Engage(plan.law, plan.limits)
 
     def _locate_hole(self, sample: Sample) -> str | None:
-        """Settle where the hole is and how to get above it; say why not, where that leaves the workspace."""
+        """Settle the hole's position and the way above it; return the reason where that is not possible."""
         plan = self._plan
         if plan.uses_estimate:
             if not self._estimates:
-                return "the policy goes by the camera's estimate of the hole, and there is none"
+                return "the policy needs the camera's estimate of the hole, and there is none: check the camera"
             self._hole = np.mean(self._estimates, axis=0)
             if (text := self._strays(self._hole)) is not None:
                 return text
@@ -256,13 +242,13 @@ class Insertion:
         return None
 
     def _strays(self, estimate: FloatArray) -> str | None:
-        """Say why an estimate cannot be the recipe's hole; None: it may be."""
+        """Return why an estimate cannot be the recipe's hole; None where it can."""
         plan = self._plan
         offset = estimate - plan.nominal_hole
         if (np.abs(offset) <= plan.max_hole_offset).all():
             return None
         way = f"{np.round(offset * 1e3, 1).tolist()} mm from the recipe's hole"
-        return f"the camera has the hole {way}, limit {(plan.max_hole_offset * 1e3).tolist()} mm"
+        return f"the camera sees the hole {way}, limit {(plan.max_hole_offset * 1e3).tolist()} mm"
 
     def _await_engaged(self, sample: Sample) -> Iterator[Order]:
         if sample.program is Program.ENGAGED:
@@ -270,7 +256,7 @@ class Insertion:
             self._path = self._plan_path(self._waypoints, sample)
             self._go(Stage.APPROACHING, sample)
         elif sample.seq - self._stage_seq > ENGAGE_TICKS:
-            self._stage = Stage.ENDED
+            self._ended = True
             yield Halt(FaultCode.LINK, "the arm did not engage: does another client hold it?")
 
     def _approach(self, sample: Sample) -> Iterator[Order]:
@@ -280,7 +266,6 @@ class Insertion:
             case Progress.ARRIVED:
                 self._go(Stage.INSERTING, sample)
                 self._state = self._plan.step.begin(self._target, self._target_yaw)
-                yield Enter(CellState.RUNNING)
                 yield from self._observe(sample)
             case Progress.OVERDUE:
                 yield from self._fail(FaultCode.BOUNDS, "the arm did not arrive above the hole: is the way clear?")
@@ -291,11 +276,11 @@ class Insertion:
         ticks = sample.seq - self._stage_seq
         if self._asked is not None:
             if sample.time_s - self._asked.sample.time_s >= self._plan.policy_deadline_s:
-                self._stage = Stage.ENDED
+                self._ended = True
                 text = f"no action within {self._plan.policy_deadline_s * 1e3:g} ms; the last target was held"
                 yield Halt(FaultCode.POLICY_DEADLINE, text)
         elif ticks >= self._plan.step.ticks:
-            # An action that came late shortens no other step
+            # A late action does not shorten the next step
             late = ticks >= 2 * self._plan.step.ticks
             self._stage_seq = sample.seq if late else self._stage_seq + self._plan.step.ticks
             yield from self._observe(sample)
@@ -303,9 +288,9 @@ class Insertion:
     def _retract(self, sample: Sample) -> Iterator[Order]:
         if (sample.seq - self._stage_seq) % APPROACH_TICKS == 0:
             yield self._move(self._advance_path(sample), self._target_yaw)
-        # A peg that sticks is the next operator's to see: the end is a standstill in either case.
+        # A peg that sticks does not fail the run: the operator sees it, and the arm stands still in either case
         if self._path.progress(sample) is not Progress.UNDER_WAY:
-            self._stage = Stage.ENDED
+            self._ended = True
             self._ended_s = sample.time_s
             yield Disengage()
 
@@ -313,16 +298,16 @@ class Insertion:
 
     def _observe(self, sample: Sample) -> Iterator[Order]:
         estimate = sample.hole_estimate
-        # None is no fault: the tool may hide the hole, and the policy goes by the mean of what came before
+        # A missing estimate is not a fault: the tool may hide the hole; the policy then uses the mean of earlier ones
         if self._plan.uses_estimate and estimate is not None and (text := self._strays(estimate)) is not None:
-            self._stage = Stage.ENDED
+            self._ended = True
             yield Halt(FaultCode.BOUNDS, text)
             return
         seen = self._see(sample)
         self._state, observation = self._plan.step.observe(self._state, seen)
         if not np.isfinite(observation).all():
-            self._stage = Stage.ENDED
-            yield Halt(FaultCode.SENSOR_INVALID, "something that the policy observes is not known: check the camera")
+            self._ended = True
+            yield Halt(FaultCode.SENSOR_INVALID, "an observation of the policy is not known: check the camera")
             return
         self._asked = Asked(sample, seen, observation)
         yield Infer(observation)
@@ -343,13 +328,13 @@ class Insertion:
     def _act(self, asked: Asked, action: FloatArray) -> Iterator[Order]:
         plan, sample = self._plan, asked.sample
         if not np.isfinite(action).all():
-            self._stage = Stage.ENDED
+            self._ended = True
             yield Halt(FaultCode.POLICY_INVALID, f"the policy answered {action.tolist()}; nothing was sent")
             return
         self._state, decision = plan.step.act(self._state, asked.seen, action)
         bounded = decision.bounded
         if bool(bounded.invalid):
-            self._stage = Stage.ENDED
+            self._ended = True
             yield Halt(FaultCode.POLICY_INVALID, f"the action {action.tolist()} leads to no pose; nothing was sent")
             return
         order = self._move(bounded.position, float(bounded.yaw))
@@ -367,7 +352,7 @@ class Insertion:
         )
         self.steps += 1
         if bool(bounded.tilt):
-            self._stage = Stage.ENDED
+            self._ended = True
             lean = float(np.linalg.norm(asked.seen.tilt))
             text = f"the tool is tilted by {lean:.3f} rad, limit {plan.step.bounds.tilt_rad:g} rad; nothing was sent"
             yield Halt(FaultCode.BOUNDS, text)
@@ -376,7 +361,7 @@ class Insertion:
         outrageous = excess > OUTRAGEOUS_ACTION or change > OUTRAGEOUS_CHANGE
         self._outrageous = self._outrageous + 1 if outrageous else 0
         if self._outrageous >= plan.clamped_steps:
-            self._stage = Stage.ENDED
+            self._ended = True
             text = f"an action of {excess:.3g} times its limit, a change of {change:.3g} times the allowed one"
             yield Halt(FaultCode.BOUNDS, f"{self._outrageous} outrageous steps in a row, the last with {text}")
             return
@@ -414,17 +399,17 @@ class Insertion:
         if self._stage in (Stage.APPROACHING, Stage.INSERTING):
             yield from self._begin_retract(sample)
         else:
-            self._stage = Stage.ENDED
+            self._ended = True
             yield Disengage()
 
     def _begin_retract(self, sample: Sample | None) -> Iterator[Order]:
-        yield Enter(CellState.RETRACT)
+        self._stage = Stage.RETRACTING
         if sample is None or not self._plan.retract:
-            self._stage = Stage.ENDED
+            self._ended = True
             self._ended_s = None if sample is None else sample.time_s
             yield Disengage()
             return
-        # from where the peg is, not from where it was pressed to: a peg that is twisted in its hole does not come out
+        # From the measured pose, not from the last target: a peg that is twisted in its hole does not come out
         self._target, self._target_yaw = sample.tcp_position, float(yaw_and_tilt(sample.tcp_rotvec)[0])
         top = min(self._hole[2] + self._plan.hover_m, self._plan.limits.workspace[1][2])
         height = max(float(top), float(self._target[2]))

@@ -1,4 +1,4 @@
-"""What the cell knows of its arm: every sample judged, the newest believed one kept, the rest counted."""
+"""The intake of samples: every one is judged, the newest believed one is kept, and the others are counted."""
 
 from collections.abc import Callable
 
@@ -13,9 +13,9 @@ from service.safety.monitor import Monitor
 from service.safety.verdict import PASSED, Verdict
 
 UNBELIEVED = frozenset({FaultCode.SENSOR_INVALID, FaultCode.SOURCE, FaultCode.LINK})
-"""Faults after which the sample itself is not used for anything."""
+"""Faults that make the sample itself unusable."""
 FIRST_SAMPLE_S = 2.0
-"""Time after connecting in which the first sample must come."""
+"""Time in which the first sample must come after connecting."""
 
 
 class Intake:
@@ -23,7 +23,7 @@ class Intake:
 
     Args:
         limits: of the cell.
-        clock: the driver's, which stamps arrivals.
+        clock: the driver's clock, which stamps arrivals.
 
     Attributes:
         sample: the newest believed one since `renew`.
@@ -43,7 +43,7 @@ class Intake:
         self.force_ceiling_n = limits.force_ceiling_n
 
     def judge(self, sample: Sample) -> Verdict:
-        """Judge a sample on its arrival, and keep it if it can be believed."""
+        """Judge a sample on its arrival; keep it if it is believed."""
         verdict = _check(self._monitor, sample)
         if not verdict.accepted:
             self._ignored += 1
@@ -56,14 +56,14 @@ class Intake:
         return verdict
 
     def judge_alone(self, sample: Sample) -> Verdict:
-        """Judge a sample without what came before it, and keep nothing of it."""
+        """Judge a sample without regard to earlier ones; keep nothing of it."""
         return _check(Monitor(plan_monitor(self._limits, self._limits.force_ceiling_n)), sample)
 
     def renew(self, force_ceiling_n: float | None = None) -> None:
         """Expect another source or another world: the next sample is the first.
 
         Args:
-            force_ceiling_n: of a run; None: the cell's.
+            force_ceiling_n: of a run; None: that of the cell.
         """
         self.force_ceiling_n = self._limits.force_ceiling_n if force_ceiling_n is None else force_ceiling_n
         self._monitor = Monitor(plan_monitor(self._limits, self.force_ceiling_n))
@@ -71,17 +71,17 @@ class Intake:
         self.sample = None
 
     def overdue(self) -> Verdict:
-        """Judge the silence; a source that was just connected has time for its first sample."""
+        """Judge whether samples are overdue; a source just connected has `FIRST_SAMPLE_S` for its first one."""
         patience_s = FIRST_SAMPLE_S if self.sample is None else self._limits.sample_age_s
         now = self._clock()
         return PASSED if now - self._renewed_at < patience_s else self._monitor.overdue(now)
 
     def clear_peak(self) -> None:
-        """Start a new peak, at the start of a run."""
+        """Begin a new peak; a run starts."""
         self._monitor.clear_peak()
 
     def take_recent_peak(self) -> float:
-        """Return the largest force of any believed sample since this was last asked, N."""
+        """Return the largest force of any believed sample since the last call, N."""
         peak_n, self._recent_peak_n = self._recent_peak_n, 0.0
         return peak_n
 
@@ -95,7 +95,7 @@ class Intake:
 
     @property
     def age_s(self) -> float:
-        """Of the newest believed sample; infinite without one."""
+        """Age of the newest believed sample; infinite without one."""
         return float("inf") if self.sample is None else self._clock() - self.sample.arrival_s
 
     @property
@@ -104,7 +104,7 @@ class Intake:
 
     @property
     def time_s(self) -> float:
-        """The arm's clock at the newest sample; 0 without one."""
+        """Time of the newest sample on the arm's clock; 0 without one."""
         return 0.0 if self.sample is None else self.sample.time_s
 
     @property
@@ -112,7 +112,7 @@ class Intake:
         return self.sample is not None and self.sample.program is Program.PROTECTIVE_STOP
 
     def counters(self, samples_dropped: int, telemetry_dropped: int, loop_overruns: int) -> Counters:
-        """What became of the samples so far, with what others counted."""
+        """Return the counts of samples, together with counts made elsewhere."""
         return Counters(
             samples=self.accepted,
             samples_ignored=self._ignored,

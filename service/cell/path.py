@@ -1,4 +1,4 @@
-"""A scripted straight move: targets along a polyline at a limited speed and lead, until the arm has arrived."""
+"""Scripted straight moves: targets along a polyline at a limited speed and lead, until the arm has arrived."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ from service.drivers.base import Sample
 from wire.arrays import FloatArray
 
 ARRIVAL_M = 5e-3
-"""Distance of the measured TCP from the end that counts as there; a compliant arm on a biased sensor stands off."""
+"""Distance of the measured TCP from the end that counts as arrived; a biased sensor holds a compliant arm off."""
 ARRIVAL_SPEED_M_S = 5e-3
 PATIENCE_S = 3.0
-"""Time beyond twice the path's length over speed in which the arm must arrive; at its leash the target waits for it."""
+"""Allowance beyond twice the path's length over its speed, because the target waits for the arm at its leash."""
 
 
 class Progress(StrEnum):
@@ -30,8 +30,8 @@ class StraightPath:
     Attributes:
         target: (3,) m, the target in force.
         waypoints: (3,) m each, still ahead.
-        step_m: between two targets.
-        deadline_s: on the samples' clock.
+        step_m: distance between two targets.
+        deadline_s: latest arrival, on the samples' clock.
     """
 
     target: FloatArray
@@ -49,7 +49,7 @@ class StraightPath:
             start: (3,) m, the target in force.
             waypoints: (3,) m each, in order.
             speed_m_s: of the target.
-            period_s: between two calls of `advance`.
+            period_s: time between two calls of `advance`.
             now_s: the samples' clock.
         """
         corners = [start, *waypoints]
@@ -58,11 +58,11 @@ class StraightPath:
         return cls(start.copy(), [point.copy() for point in waypoints], speed_m_s * period_s, deadline)
 
     def advance(self, measured: FloatArray, leash_m: float) -> FloatArray:
-        """Move the target on by one step, unless it would lead the arm by more than the leash; return it, (3,) m.
+        """Advance the target by one step, unless it would lead the arm by more than the leash; return it, (3,) m.
 
         Args:
             measured: (3,) m, TCP.
-            leash_m: farthest that the target may lead.
+            leash_m: largest lead of the target.
         """
         before = self.target, list(self.waypoints)
         lead = float(np.linalg.norm(self.target - measured))
@@ -87,7 +87,7 @@ class StraightPath:
             self.waypoints.pop(0)
 
     def progress(self, sample: Sample) -> Progress:
-        """Judge by measurement."""
+        """Return how far the arm has come, by measurement."""
         at_end = len(self.waypoints) == 1 and bool((self.target == self.waypoints[0]).all())
         near = float(np.linalg.norm(sample.tcp_position - self.target)) < ARRIVAL_M
         if at_end and near and float(np.linalg.norm(sample.tcp_velocity[:3])) < ARRIVAL_SPEED_M_S:

@@ -1,4 +1,4 @@
-"""Everything that one insertion goes by, fixed before it starts: numbers of the recipe, the limits and the contract."""
+"""The plan of one insertion, fixed before it starts: numbers of the recipe, the limits and the policy's contract."""
 
 from dataclasses import dataclass
 
@@ -15,25 +15,25 @@ from wire.law import ComplianceLaw, ControlLimits
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """One insertion's numbers. Lengths m, angles rad, base frame, times on the samples' clock.
+    """Numbers of one insertion: lengths in m, angles in rad, base frame, times on the samples' clock.
 
     Attributes:
-        start_position: (3,) where the TCP must stand.
-        start_yaw: and how it must be turned; kept during the approach.
-        nominal_hole: (3,) where the hole is without any camera.
-        max_hole_offset: (3,) farthest that the camera's estimate may be from there.
-        uses_estimate: whether the approach and the depth go by the camera.
+        start_position: (3,) position at which the TCP must stand.
+        start_yaw: yaw at which it must stand; kept during the approach.
+        nominal_hole: (3,) position of the hole without a camera.
+        max_hole_offset: (3,) largest distance of the camera's estimate from it, per axis.
+        uses_estimate: whether approach and depth use the camera's estimate.
         hover_m: height above the hole at which the approach ends.
-        approach_speed_m_s: of scripted moves.
+        approach_speed_m_s: speed of scripted moves.
         max_steps: policy steps before the run fails.
         tick_s: period of the samples.
-        success_depth_m: below the surface.
+        success_depth_m: depth of the peg's bottom below the surface that counts as inserted.
         retract: whether the tool moves up at the end.
-        policy_deadline_s: for one inference.
+        policy_deadline_s: longest time of one inference.
         clamped_steps: steps in a row with an outrageous action before the cell latches.
         law: compliance while engaged.
-        limits: that the arm's own controller enforces.
-        preflight: what the sensor and the pose must look like.
+        limits: limits that the arm's own controller enforces.
+        preflight: requirements on sensor and pose before the arm moves.
         step: the policy step, with its lock and its bounds.
     """
 
@@ -57,7 +57,7 @@ class Plan:
 
 
 def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyContract) -> Plan:
-    """Put a recipe, the cell's limits and a policy's contract together."""
+    """Plan an insertion by a recipe, the cell's limits and a policy's contract."""
     limits = config.limits
     control = ControlLimits(
         workspace=limits.workspace_m,
@@ -95,7 +95,7 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
 
 
 def plan_monitor(limits: LimitsSection, force_ceiling_n: float) -> MonitorParameters:
-    """ControlLimits of a sample; the ceiling is the cell's, or a recipe's where that is lower."""
+    """Return the limits of a sample; the ceiling is that of the cell, or a recipe's lower one."""
     return MonitorParameters(
         force_ceiling_n=force_ceiling_n,
         torque_ceiling_nm=limits.torque_ceiling_nm,

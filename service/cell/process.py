@@ -1,4 +1,4 @@
-"""The control process of one cell: puts driver, cell and control plane together, and ends them in the right order."""
+"""The control process of one cell: starts driver, cell and control plane, and ends them in the right order."""
 
 import asyncio
 import contextlib
@@ -23,7 +23,7 @@ _log = structlog.get_logger("service")
 
 
 @asynccontextmanager
-async def standing(cell: Cell) -> AsyncGenerator[None]:
+async def attended(cell: Cell) -> AsyncGenerator[None]:
     """Keep a cell linked and watched while the context lasts; stop and close it at the end."""
     link = asyncio.create_task(keep_linked(cell), name="link")
     watch = asyncio.create_task(keep_watch(cell), name="watch")
@@ -35,18 +35,18 @@ async def standing(cell: Cell) -> AsyncGenerator[None]:
         watch.cancel()
         for result in await asyncio.gather(link, watch, return_exceptions=True):
             if isinstance(result, Exception):
-                _log.error("standing task", error=repr(result))
+                _log.error("task of the cell", error=repr(result))
 
 
 @contextmanager
 def alone(state_dir: Path) -> Generator[None]:
-    """Keep other control processes from a state directory while the context lasts, or this process.
+    """Lock a state directory against other control processes while the context lasts.
 
-    A second one would take the first one's run for interrupted, and latch on the disk, before it found its endpoint
-    taken.
+    Without the lock, a second process would take the run of the first for interrupted, and latch on the disk, before it
+    found the endpoint in use.
 
     Raises:
-        OSError: another process has it, or it cannot be written.
+        OSError: another process has locked it, or it cannot be written.
     """
     state_dir.mkdir(parents=True, exist_ok=True)
     with (state_dir / "lock").open("w") as lock:
@@ -59,7 +59,7 @@ def alone(state_dir: Path) -> Generator[None]:
 
 
 async def run(config: CellConfig, driver: Driver) -> None:
-    """Run until SIGTERM or SIGINT; the arm stands when this returns.
+    """Run until SIGTERM or SIGINT; stop the arm before returning.
 
     Raises:
         OSError: the endpoint or the state directory cannot be used.
@@ -75,7 +75,7 @@ async def _run(config: CellConfig, driver: Driver) -> None:
         loop.add_signal_handler(number, ended.set)
     cell = Cell(config, driver, time_of_day=time.time)
     if driver.mode == "real_time":
-        # before Zenoh starts its threads: one of ordinary priority that the loop waits for would hold the loop up
+        # Before Zenoh starts its threads: the loop would have to wait for a thread of ordinary priority
         cell.degradations = request_realtime()
         freeze_garbage()
     for line in cell.degradations:
@@ -87,7 +87,7 @@ async def _run(config: CellConfig, driver: Driver) -> None:
         raise
     try:
         plane = ControlPlane(cell, session)
-        async with standing(cell):
+        async with attended(cell):
             status = asyncio.create_task(plane.publish_status(), name="status")
             _log.info("serving", cell=config.cell.id, endpoint=config.cell.endpoint, state=cell.state.value)
             await ended.wait()

@@ -1,4 +1,4 @@
-"""From samples to what people are told: measured values, telemetry points."""
+"""Reports for people, made from samples: measured values and telemetry points."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ def measured(sample: Sample, now: float) -> Measured:
 
     Args:
         sample: finite.
-        now: of the clock that stamped its arrival.
+        now: time on the clock that stamped its arrival.
     """
     speed = float(np.linalg.norm(sample.tcp_velocity[:3]))
     joints = float(np.abs(sample.qd).max())
@@ -41,7 +41,7 @@ def measured(sample: Sample, now: float) -> Measured:
 def telemetry(
     sample: Sample, force_peak_n: float, state: CellState, insertion: Insertion | None, run_id: str | None
 ) -> Telemetry:
-    """One point of the live plot; `force_peak_n` of all samples since the last one."""
+    """Return one point of the live plot; `force_peak_n` is the peak of all samples since the last point."""
     record = None if insertion is None else insertion.last
     z_lock = None if record is None else float(record.dsl.z_lock)
     return Telemetry(

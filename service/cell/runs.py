@@ -1,12 +1,34 @@
-"""The runs of one cell: the one under way, at most, and those that have ended."""
+"""The runs of one cell: at most one under way, and those that have ended.
+
+`ActiveRun` is the run under way. `service.messages.Run` is the description of a run that people see.
+"""
 
 import secrets
+from typing import Protocol
 
+import structlog
+
+from service.cell.inference import Inference, InferenceKind
+from service.cell.insertion import Insertion, Stage
 from service.cell.journal import Journal
-from service.cell.run import ActiveRun, RunHost
-from service.drivers.base import Driver
+from service.cell.orders import Disengage, Engage, Fail, Halt, Infer, Move, Order, Succeed, ZeroFt
+from service.cell.plan import Plan
+from service.cell.tick_record import TickRecord
+from service.drivers.base import Driver, Sample
 from service.faults import FaultCode
-from service.messages import Run, RunState, StartRequest
+from service.messages import CellState, Run, RunState, StartRequest
+from service.policy.model import Policy, PolicyError
+from wire.arrays import Float32Array
+
+STATE_IN: dict[Stage, CellState] = {
+    Stage.ZEROING: CellState.PREFLIGHT,
+    Stage.CHECKING: CellState.PREFLIGHT,
+    Stage.ENGAGING: CellState.APPROACH,
+    Stage.APPROACHING: CellState.APPROACH,
+    Stage.INSERTING: CellState.RUNNING,
+    Stage.RETRACTING: CellState.RETRACT,
+}
+"""The cell's state in each stage of an insertion."""
 
 _ENDED_BY = {
     FaultCode.OPERATOR_STOP: RunState.STOPPED,
@@ -14,10 +36,148 @@ _ENDED_BY = {
     FaultCode.INTERRUPTED: RunState.INTERRUPTED,
 }
 
+_log = structlog.get_logger("service.cell")
+
 
 def ended_by(code: FaultCode) -> RunState:
-    """How a run ends that a latching stop with this code has ended."""
+    """Return the state of a run that a latching stop with this code has ended."""
     return _ENDED_BY.get(code, RunState.LATCHED)
+
+
+class RunHost(Protocol):
+    """The cell, as its run sees it."""
+
+    @property
+    def state(self) -> CellState: ...
+
+    def enter(self, state: CellState) -> None: ...
+
+    def halt(self, code: FaultCode, text: str) -> None:
+        """Stop and latch; the run is abandoned before this returns."""
+        ...
+
+    def disengage(self) -> None:
+        """Stop the arm as the ordinary end of the run, and finish once standstill is measured."""
+        ...
+
+    def on_tick(self, record: TickRecord) -> None: ...
+
+
+class ActiveRun:
+    """One accepted run, until it has ended: carries out the orders of its insertion.
+
+    Args:
+        run: as accepted.
+        driver: of the arm.
+        host: the cell.
+
+    Attributes:
+        accepted: the run as accepted.
+        outcome: set once the insertion has decided; the arm may still be moving away.
+        insertion: None before the world is prepared.
+    """
+
+    def __init__(self, run: Run, driver: Driver, host: RunHost) -> None:
+        self.accepted = run
+        self.outcome: Succeed | Fail | None = None
+        self.insertion: Insertion | None = None
+        self._driver = driver
+        self._host = host
+        self._inference: Inference | None = None
+        self._abandoned = False
+
+    @property
+    def abandoned(self) -> bool:
+        return self._abandoned
+
+    def begin(self, plan: Plan, policy: Policy, kind: InferenceKind) -> None:
+        """Insert, from the next sample on."""
+        self.insertion = Insertion(plan)
+        self._inference = kind(policy, self._take_action, self._take_failure)
+
+    def on_sample(self, sample: Sample) -> None:
+        """Take in a sample that the monitor has passed."""
+        if self.insertion is not None:
+            self._carry_out(self.insertion, self.insertion.on_sample(sample))
+
+    def abandon(self) -> None:
+        """Send nothing of this run to the arm any more."""
+        self._abandoned = True
+        if self._inference is not None:
+            self._inference.close()
+
+    def snapshot(self, peak_force_n: float, now_s: float) -> Run:
+        """Describe the run at this moment.
+
+        Args:
+            peak_force_n: so far.
+            now_s: the samples' clock.
+        """
+        insertion = self.insertion
+        if insertion is None:
+            return self.accepted
+        return self.accepted.model_copy(
+            update={
+                "phase": insertion.phase,
+                "steps": insertion.steps,
+                "depth_m": insertion.depth_m,
+                "peak_force_n": peak_force_n,
+                "duration_s": insertion.duration_s(now_s),
+            }
+        )
+
+    def _carry_out(self, insertion: Insertion, orders: list[Order]) -> None:
+        for order in orders:
+            if self._abandoned:
+                return
+            if isinstance(order, Move):
+                # A target of the stage before leaves before the new stage is told
+                self._driver.send_target(order.target)
+                continue
+            self._follow(insertion.stage)
+            match order:
+                case Infer(observation):
+                    if self._inference is not None:
+                        self._inference.ask(observation)
+                case ZeroFt():
+                    self._driver.zero_ft()
+                case Engage(law, limits):
+                    self._driver.engage(law, limits)
+                case Succeed() | Fail():
+                    self.outcome = order
+                case Disengage():
+                    self._host.disengage()
+                case Halt(code, text):
+                    self._host.halt(code, text)
+        if not self._abandoned:
+            self._follow(insertion.stage)
+
+    def _follow(self, stage: Stage) -> None:
+        """Bring the cell into the state that belongs to the stage."""
+        state = STATE_IN[stage]
+        if state is not self._host.state:
+            self._host.enter(state)
+
+    def _take_action(self, action: Float32Array) -> None:
+        if self._abandoned or self.insertion is None:
+            return
+        before = self.insertion.steps
+        try:
+            self._carry_out(self.insertion, self.insertion.take_action(action))
+        except Exception as error:
+            self._host.halt(FaultCode.INTERNAL, f"{type(error).__name__}: {error}")
+            _log.exception("action", run=self.accepted.id)
+        if self.insertion.steps > before and self.insertion.last is not None:
+            self._host.on_tick(self.insertion.last)
+
+    def _take_failure(self, error: Exception) -> None:
+        if self._abandoned:
+            return
+        if isinstance(error, PolicyError):
+            self._host.halt(FaultCode.POLICY_INVALID, f"the policy gave no usable action: {error}")
+        else:
+            self._host.halt(FaultCode.INTERNAL, f"inference failed with {type(error).__name__}: {error}")
+            _log.error("inference", exc_info=error)
 
 
 class Runs:
@@ -25,13 +185,15 @@ class Runs:
 
     Args:
         journal: of the cell.
+        driver: of the arm.
 
     Attributes:
-        active: under way, else None.
+        active: the run under way, else None.
     """
 
-    def __init__(self, journal: Journal) -> None:
+    def __init__(self, journal: Journal, driver: Driver) -> None:
         self._journal = journal
+        self._driver = driver
         self._last: Run | None = None
         self.active: ActiveRun | None = None
 
@@ -39,10 +201,10 @@ class Runs:
     def active_id(self) -> str | None:
         return None if self.active is None else self.active.accepted.id
 
-    def begin(self, request: StartRequest, driver: Driver, host: RunHost) -> ActiveRun:
-        """Make the run under way; it is journalled once it has been accepted."""
+    def begin(self, request: StartRequest, host: RunHost) -> ActiveRun:
+        """Make the run under way; it is recorded once it has been accepted."""
         seed = request.seed
-        if seed is None and driver.simulated:
+        if seed is None and self._driver.simulated:
             seed = secrets.randbelow(2**31)
         run = Run(
             id=f"run-{secrets.token_hex(6)}",
@@ -53,11 +215,11 @@ class Runs:
             requested_by=request.requested_by,
             idempotency_key=request.idempotency_key,
         )
-        self.active = ActiveRun(run, driver, host)
+        self.active = ActiveRun(run, self._driver, host)
         return self.active
 
     def end(self, state: RunState, code: FaultCode | None, text: str, peak_force_n: float, now_s: float) -> Run | None:
-        """End the run under way, if there is one; from then on nothing of it reaches the arm.
+        """End the run under way, if there is one; nothing of it reaches the arm any more.
 
         Args:
             state: how it ended.
@@ -76,7 +238,7 @@ class Runs:
         return run
 
     def raise_peak(self, peak_force_n: float) -> None:
-        """Tell of the last run what was felt after its end, until the arm stood; never less than before."""
+        """Add to the last run the force measured between its end and standstill; the peak never falls."""
         last = self._last
         if last is not None and peak_force_n > (last.peak_force_n or 0.0):
             self._last = run = last.model_copy(update={"peak_force_n": peak_force_n})
@@ -97,7 +259,7 @@ class Runs:
         """Return a run as it was accepted or as it ended."""
         if self.active is not None and self.active.accepted.id == run_id:
             return self.active.accepted
-        return self._journal.ledger.find(run_id)
+        return self._journal.find(run_id)
 
     def find_key(self, idempotency_key: str | None) -> Run | None:
         """Return the run that a start with this key began."""
@@ -105,4 +267,8 @@ class Runs:
             return None
         if self.active is not None and self.active.accepted.idempotency_key == idempotency_key:
             return self.active.accepted
-        return self._journal.ledger.find_key(idempotency_key)
+        return self._journal.find_key(idempotency_key)
+
+    def newest(self, limit: int, before: str | None = None) -> tuple[Run, ...]:
+        """Return up to `limit` recorded runs, newest first; only those older than `before` where it is known."""
+        return self._journal.newest(limit, before)

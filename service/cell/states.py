@@ -11,17 +11,17 @@ TRANSITIONS: dict[CellState, frozenset[CellState]] = {
     CellState.RUNNING: frozenset({CellState.RETRACT, CellState.STOPPING}),
     CellState.RETRACT: frozenset({CellState.READY, CellState.STOPPING}),
     CellState.STOPPING: frozenset({CellState.LATCHED}),
-    # By an acknowledged reset only. A lost link does not leave LATCHED, so nothing but an operator does.
+    # Only an acknowledged reset leaves LATCHED; a lost link does not.
     CellState.LATCHED: frozenset({CellState.READY}),
 }
 INITIAL = frozenset({CellState.OFFLINE, CellState.LATCHED})
 """A cell starts LATCHED when the latch on disk is set."""
 WITH_RUN = frozenset({CellState.PREFLIGHT, CellState.APPROACH, CellState.RUNNING, CellState.RETRACT})
-"""A run is under way, so a stop in these latches."""
+"""States in which a run is under way, so that a stop latches."""
 
 
 class IllegalTransitionError(Exception):
-    """A transition that the table does not hold; the cell's state is unchanged."""
+    """The table does not allow this transition; the cell's state is unchanged."""
 
     def __init__(self, present: CellState, wanted: CellState) -> None:
         allowed = ", ".join(sorted(TRANSITIONS.get(present, ()))) or "nothing"
@@ -30,7 +30,7 @@ class IllegalTransitionError(Exception):
 
 
 class StateMachine:
-    """Holds the state of one cell and refuses what the table does not allow."""
+    """Holds the state of one cell and refuses transitions that the table does not allow."""
 
     def __init__(self, initial: CellState) -> None:
         if initial not in INITIAL:

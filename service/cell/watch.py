@@ -1,4 +1,4 @@
-"""The cell's two standing tasks: keep the driver connected, and keep watch while no sample comes."""
+"""The two tasks that attend a cell: one keeps the driver connected, one watches while no sample comes."""
 
 import asyncio
 
@@ -13,14 +13,14 @@ from service.messages import CellState
 RECONNECT_S = 0.5
 PERIOD_S = 0.005
 OVERRUN_S = 0.02
-"""Lateness of a turn of the watch that counts as an overrun."""
+"""Lateness of one turn of the watch that counts as an overrun."""
 OVERRUNS_IN_A_ROW = 5
 
 _log = structlog.get_logger("service.cell")
 
 
 async def keep_linked(cell: Cell) -> None:
-    """Connect, and connect again whenever the link was given up; until cancelled. Never resumes a run."""
+    """Connect, and connect again whenever the link is lost, until cancelled. A run is never resumed."""
     while True:
         await cell.unlinked.wait()
         if cell.state is CellState.OFFLINE:
@@ -30,7 +30,7 @@ async def keep_linked(cell: Cell) -> None:
         except (DriverError, OSError) as error:
             cell.lose_link(str(error))
             await asyncio.sleep(RECONNECT_S)
-        except Exception as error:  # a defect must not leave the cell without its link for good
+        except Exception as error:  # a defect must not leave the cell unlinked for good
             _log.exception("connect")
             cell.lose_link(f"{type(error).__name__}: {error}")
             await asyncio.sleep(RECONNECT_S)
@@ -40,7 +40,7 @@ async def keep_linked(cell: Cell) -> None:
 
 
 async def keep_watch(cell: Cell) -> None:
-    """Judge silence and lateness in real time; in lockstep no sample means no time, so there is nothing to watch."""
+    """Check for silence and lateness in real time. In lockstep no time passes without samples, so this returns."""
     if cell.driver.mode == "lockstep":
         return
     in_a_row = 0

@@ -4,7 +4,6 @@
 """
 
 from collections import Counter
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
@@ -13,7 +12,6 @@ from service.policy.action import COMPONENTS, ActionMap
 from service.policy.observation import ENTRIES, Frame, Need, ObservationBuilder, ObservationMode
 from service.safety.dsl import DslParameters
 from wire.law import ComplianceLaw
-from wire.limits import LockMode
 
 METADATA_KEY = "dsl_assembly_contract"
 """Key of the contract in the model's metadata."""
@@ -130,37 +128,6 @@ class EvaluationFigure(Section):
     high: Share
     peak_force_median_n: NotNegative | None = None
     peak_force_max_n: NotNegative | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class CellCapabilities:
-    """What a cell offers a policy.
-
-    Attributes:
-        tick_s: period of its control law, s.
-        part: that it assembles.
-        clearance_m: per face, if known.
-        camera: it has an estimate of the hole's position.
-        force_torque: it has a force/torque sensor.
-        last_joint: it reports joint angles.
-        stiffness_max: largest stiffness that its law runs, N/m and N·m/rad.
-        damping_min: least damping, N·s/m and N·m·s/rad.
-        inertia_min: least inertia, kg and kg·m².
-        locks: modes of the lock that it runs.
-        press_max_m: farthest that the lock may press below the height of a contact, m.
-    """
-
-    tick_s: float
-    part: str
-    clearance_m: float | None
-    camera: bool
-    force_torque: bool
-    last_joint: bool
-    stiffness_max: tuple[float, float, float, float, float, float]
-    damping_min: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    inertia_min: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    locks: tuple[LockMode, ...] = ("paper",)
-    press_max_m: float = 5e-3
 
 
 class PolicyContract(Section):
@@ -296,54 +263,6 @@ class PolicyContract(Section):
     def action_map(self) -> ActionMap:
         """Return the map from this policy's outputs to displacements."""
         return ActionMap(self.action)
-
-    def check_against(self, cell: CellCapabilities) -> tuple[str, ...]:
-        """Every reason for which `cell` cannot run this policy as it was trained; empty if it can."""
-        reasons: list[str] = []
-        if self.tick_s != cell.tick_s:
-            reasons.append(
-                f"the policy wants a tick of {self.tick_s * 1e3:g} ms, the cell has {cell.tick_s * 1e3:g} ms"
-            )
-        if cell.part not in self.parts:
-            reasons.append(f"the policy is for {', '.join(self.parts)}, the cell assembles {cell.part}")
-        low, high = self.clearance_m
-        if cell.clearance_m is not None and not low <= cell.clearance_m <= high:
-            reasons.append(
-                f"the policy is for a clearance of {low * 1e3:g} to {high * 1e3:g} mm per face, "
-                f"the cell has {cell.clearance_m * 1e3:g} mm"
-            )
-        offered = {
-            Need.FORCE_TORQUE: (cell.force_torque, "a force/torque sensor"),
-            Need.HOLE: (cell.camera or self.mode == "FTM", "a camera's estimate of the hole"),
-            Need.LAST_JOINT: (cell.last_joint, "joint angles"),
-        }
-        for entry in self.observation:
-            for need in sorted(ENTRIES[entry.name].needs):
-                has, thing = offered[need]
-                if not has:
-                    reasons.append(f"observation entry {entry.name!r} needs {thing}, which the cell does not have")
-        if self.dsl.mode != "off" and not cell.force_torque:
-            reasons.append(f"the safety lock in mode {self.dsl.mode!r} needs a force/torque sensor")
-        if self.dsl.mode not in cell.locks:
-            reasons.append(
-                f"the safety lock is in mode {self.dsl.mode!r}, this recipe runs {', '.join(cell.locks)}: "
-                "allow_lock of the recipe says which"
-            )
-        if self.dsl.press_m > cell.press_max_m:
-            reasons.append(
-                f"dsl.press_m is {self.dsl.press_m * 1e3:g} mm, the cell presses at most {cell.press_max_m * 1e3:g} mm"
-            )
-        for name, wanted, least in (
-            ("damping", self.compliance.damping, cell.damping_min),
-            ("inertia", self.compliance.inertia, cell.inertia_min),
-        ):
-            for axis, (want, limit) in enumerate(zip(wanted, least, strict=True)):
-                if want < limit:
-                    reasons.append(f"compliance.{name}[{axis}] is {want:g}, the cell runs at least {limit:g}")
-        for axis, (want, most) in enumerate(zip(self.compliance.stiffness, cell.stiffness_max, strict=True)):
-            if want > most:
-                reasons.append(f"compliance.stiffness[{axis}] is {want:g}, the cell runs at most {most:g}")
-        return tuple(reasons)
 
 
 def json_schema() -> dict[str, JsonValue]:

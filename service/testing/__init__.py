@@ -1,4 +1,4 @@
-"""A whole simulated cell inside a test, in lockstep: for integrators' own recipes and policies, and for our tests.
+"""A whole simulated cell inside a test, in lockstep, for tests of recipes and policies.
 
     async def test_my_policy_inserts(simulated_cell):
         async with simulated_cell(policy=Path("mine.onnx"), clearance_m=1e-3) as bench:

@@ -1,4 +1,4 @@
-"""The bench around one simulated cell in lockstep, and the pytest fixture that makes one."""
+"""A test bench around one simulated cell in lockstep, and the pytest fixture that makes one."""
 
 import asyncio
 from collections.abc import AsyncGenerator, Callable
@@ -11,8 +11,8 @@ import pytest
 
 from service.cell.cell import Cell
 from service.cell.inference import InferenceKind
-from service.cell.process import standing
-from service.cell.records import TickRecord
+from service.cell.process import attended
+from service.cell.tick_record import TickRecord
 from service.config import CellConfig
 from service.drivers.base import Driver
 from service.messages import CellState, Event, Run, RunResult, RunState, StartRequest, Telemetry
@@ -21,7 +21,7 @@ from sim_backend.zenoh_cell.cell import SimulatedCell
 
 RECIPE = "under-test"
 PATIENCE_S = 60.0
-"""Simulated time within which a run of any sensible policy has ended."""
+"""Simulated time in which a run of any sensible policy ends."""
 LIMITS: dict[str, Any] = {
     "force_ceiling_n": 30.0,
     "workspace_m": ((0.15, -0.26, 0.01), (0.45, 0.04, 0.40)),
@@ -32,11 +32,11 @@ NOMINAL_HOLE_M = (0.300, -0.110, 0.080)
 
 @dataclass(slots=True)
 class Bench:
-    """One simulated cell and everything that it said.
+    """One simulated cell and everything that it published.
 
     Attributes:
-        cell: the same class that a control process runs.
-        world: the simulation; `world.truth()` knows where the hole is.
+        cell: the cell, as a control process runs it.
+        world: the simulation; `world.truth()` returns the true state, the hole included.
         records: one per policy step, oldest first.
         events: oldest first.
         telemetry: oldest first.
@@ -64,7 +64,7 @@ class Bench:
         """Let simulated time pass until `condition` holds.
 
         Raises:
-            TimeoutError: it does not within `limit_s` of simulated time.
+            TimeoutError: it does not hold within `limit_s` of simulated time.
         """
         clock = self.cell.driver.clock
         deadline = clock() + limit_s
@@ -90,7 +90,7 @@ class Bench:
         return answer.run
 
     async def ended(self, run: Run) -> Run:
-        """Wait for a run's end and return it as it was recorded."""
+        """Wait for a run's end; return the recorded run."""
         await self.until(lambda: self._ended(run) is not None)
         await self.state(CellState.READY, CellState.LATCHED, CellState.OFFLINE)
         found = self._ended(run)
@@ -110,7 +110,7 @@ def cell_config(state_dir: Path, policy: Path, limits: dict[str, Any] | None = N
     """Configuration of a simulated cell with one recipe, `RECIPE`.
 
     Args:
-        state_dir: for latch and ledger.
+        state_dir: folder for latch and ledger.
         policy: ONNX file with its contract.
         limits: fields of the configuration's `limits` that differ.
         **recipe: fields of the recipe that differ.
@@ -140,13 +140,13 @@ async def lockstep_cell(
     inference: InferenceKind | None = None,
     world: SimulatedCell | None = None,
 ) -> AsyncGenerator[Bench]:
-    """Run a cell on a simulated world in this process while the context lasts; READY or LATCHED on entry.
+    """Run a cell on a simulated world in this process while the context lasts. It is READY or LATCHED on entry.
 
     Args:
-        config: of the cell; its arm is the plain simulated one, whatever `cell.driver` says.
-        wrap: puts something between cell and driver: a fault injector, a recorder.
-        inference: None computes in the loop.
-        world: None makes one of the first recipe's part.
+        config: of the cell. Its arm is the plain simulated one, whatever `cell.driver` says.
+        wrap: puts something between cell and driver, such as a fault injector or a recorder.
+        inference: how runs get their inference; None: inference in the loop.
+        world: the world to use; None: a new one with the first recipe's part.
     """
     if world is None:
         part: Any = next(iter(config.recipes.values())).part
@@ -157,13 +157,13 @@ async def lockstep_cell(
     cell = Cell(config, driver, inference=inference)
     bench = Bench(cell, world)
     cell.journal.observers.append(bench)
-    async with standing(cell):
+    async with attended(cell):
         await bench.until(lambda: cell.newest_sample is not None)
         yield bench
 
 
 class SimulatedCellFactory(Protocol):
-    """What the fixture gives."""
+    """Type of the fixture `simulated_cell`."""
 
     def __call__(
         self, policy: Path, *, limits: dict[str, Any] | None = None, **recipe: Any
@@ -172,7 +172,7 @@ class SimulatedCellFactory(Protocol):
 
 @pytest.fixture
 def simulated_cell(tmp_path: Path) -> SimulatedCellFactory:
-    """Cells for one test: call it with a policy, use what it returns in `async with`."""
+    """Make cells for one test: call it with a policy, and use the result in `async with`."""
 
     def make(
         policy: Path, *, limits: dict[str, Any] | None = None, **recipe: Any

@@ -1,6 +1,6 @@
-"""A simulated cell inside this process, in lockstep, without transport; world, commands and states are the same.
+"""A driver of a simulated cell inside this process, in lockstep: no transport, but the same commands and states.
 
-For tests, integrators and benchmarks; the only module of the service that imports the world.
+Only this folder of the service imports the world.
 """
 
 import asyncio
@@ -18,7 +18,7 @@ from wire.law import ComplianceLaw, ControlLimits
 from wire.task import Task
 
 IDLE_TICKS = 500
-"""Ticks without a command or an engaged arm after which time passes no faster than in reality: no core is burnt."""
+"""Ticks without a command or an engaged arm after which time passes no faster than in reality, to spare the core."""
 
 
 class InProcessDriver:

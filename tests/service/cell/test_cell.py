@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cell.records import TickRecord
+from service.cell.tick_record import TickRecord
 from service.drivers.base import Program, Sample
 from service.faults import FaultCode
 from service.messages import (

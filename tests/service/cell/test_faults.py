@@ -396,7 +396,7 @@ async def test_54_power_cycle_while_latched_starts_latched(faulty_cell: FaultyCe
 async def test_51_a_full_disk_refuses_starts_and_a_stop_works(faulty_cell: FaultyCell) -> None:
     async with faulty_cell() as faulty:
         run = await faulty.running()
-        bench, ledger = faulty.bench, faulty.bench.cell.journal.ledger
+        bench, ledger = faulty.bench, faulty.bench.cell.journal._ledger
         full = os.open("/dev/full", os.O_WRONLY)
         whole = os.dup(ledger._file.fileno())
         os.dup2(full, ledger._file.fileno())

@@ -16,7 +16,7 @@ from service.cell import watch
 from service.cell.inference import InlineInference, OnAction, OnFailure
 from service.cell.journal import Journal
 from service.cell.path import StraightPath
-from service.cell.records import TickRecord
+from service.cell.tick_record import TickRecord
 from service.drivers.base import Driver, DriverError, PoseTarget, Program, SampleSink
 from service.faults import FaultCode
 from service.messages import (
@@ -352,7 +352,7 @@ async def test_a_watch_that_fails_stops_the_run_and_watches_on(
 
 async def test_a_start_that_the_disk_refused_leaves_no_run_behind(faulty_cell: FaultyCell) -> None:
     async with faulty_cell() as faulty:
-        bench, ledger = faulty.bench, faulty.bench.cell.journal.ledger
+        bench, ledger = faulty.bench, faulty.bench.cell.journal._ledger
         request = StartRequest(recipe=RECIPE, seed=EASY, idempotency_key="once")
         full, whole = os.open("/dev/full", os.O_WRONLY), os.dup(ledger._file.fileno())
         os.dup2(full, ledger._file.fileno())
@@ -368,7 +368,7 @@ async def test_a_start_that_the_disk_refused_leaves_no_run_behind(faulty_cell: F
         bench.cell.stop(StopRequest())
         await bench.state(CellState.LATCHED)
     journal = Journal(faulty.state_dir, lambda: 0.0)
-    assert [run.id for run in journal.ledger.newest(10)] == [accepted.run.id]
+    assert [run.id for run in journal.newest(10)] == [accepted.run.id]
     journal.close(5.0)
 
 

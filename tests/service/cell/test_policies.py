@@ -24,7 +24,7 @@ MODES = ("paper", "sliding", "off")
 
 
 def admit(config: CellConfig, recipe: str = RECIPE) -> Policy:
-    return PolicyShelf(config.recipes, TICK_S, config.limits, camera=config.sees_hole).admit(recipe)
+    return PolicyShelf(config, TICK_S).admit(recipe)
 
 
 def locked(**changes: object) -> DslParameters:

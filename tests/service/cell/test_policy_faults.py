@@ -137,7 +137,7 @@ async def test_29_a_broken_policy_refuses_its_recipe_and_the_cell_is_well(
             await bench.start()
         assert bench.cell.state is CellState.READY
         assert bench.cell.journal.latch is None
-        assert bench.cell.journal.ledger.newest(10) == ()
+        assert bench.cell.journal.newest(10) == ()
 
 
 async def test_27_a_contract_that_does_not_fit_is_refused_with_the_mismatch(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from service.cell import process
 from service.cell.cell import Cell
-from service.cell.process import alone, standing
+from service.cell.process import alone, attended
 from service.client import CellClient
 from service.drivers.base import Program
 from service.drivers.zenoh_sim import ZenohSimDriver
@@ -40,7 +40,7 @@ async def until(condition: Callable[[], object], seconds: float = 30.0) -> None:
 async def cell_over_zenoh(tmp_path: Path, endpoint: str) -> AsyncIterator[Cell]:
     config = cell_config(tmp_path / "state", policies.still(tmp_path), LIMITS, conditions="easy")
     cell = Cell(config, ZenohSimDriver("world-1", [endpoint], "real_time"))
-    async with standing(cell):
+    async with attended(cell):
         await until(lambda: cell.state in (CellState.READY, CellState.LATCHED))
         yield cell
 

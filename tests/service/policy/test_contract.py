@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,6 @@ from pydantic import ValidationError
 from service.policy.contract import (
     METADATA_KEY,
     ActionEntry,
-    CellCapabilities,
     ContractError,
     EvaluationFigure,
     ObservationEntry,
@@ -20,16 +18,6 @@ from service.policy.model import PolicyFault
 from service.policy.observation import ENTRIES
 from service.safety.dsl import DslParameters
 from tests.service.policy.model_files import ACTION, contract
-
-CELL = CellCapabilities(
-    tick_s=0.002,
-    part="tr",
-    clearance_m=1.0e-3,
-    camera=True,
-    force_torque=True,
-    last_joint=True,
-    stiffness_max=(5000.0,) * 3 + (200.0,) * 3,
-)
 
 
 def changed(path: str, value: Any) -> str:
@@ -169,39 +157,6 @@ def test_an_entry_by_name_takes_its_size_unit_and_frame_from_the_registry() -> N
     assert (entry.size, entry.unit, entry.frame, entry.history) == (4, "m,rad", "tool", 4)
     with pytest.raises(ValueError, match="colour"):
         ObservationEntry.of("colour")
-
-
-# Against a cell
-
-
-def test_a_cell_that_offers_everything_can_run_it() -> None:
-    assert contract().check_against(CELL) == ()
-    assert contract().check_against(replace(CELL, clearance_m=None)) == ()
-
-
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [
-        ({"tick_s": 0.008}, "tick of 2 ms, the cell has 8 ms"),
-        ({"part": "cir"}, "the policy is for tr, the cell assembles cir"),
-        ({"clearance_m": 0.1e-3}, "0.3 to 2 mm per face, the cell has 0.1 mm"),
-        ({"camera": False}, "'hole_offset_xy' needs a camera's estimate of the hole"),
-        ({"force_torque": False}, "'force_mean' needs a force/torque sensor"),
-        ({"force_torque": False}, "the safety lock in mode 'paper' needs"),
-        ({"stiffness_max": (5000.0,) * 3 + (5.0,) * 3}, "compliance.stiffness[3] is 10, the cell runs at most 5"),
-    ],
-)
-def test_what_a_cell_cannot_offer_is_named(changes: dict[str, Any], says: str) -> None:
-    assert says in "; ".join(contract().check_against(replace(CELL, **changes)))
-
-
-def test_ftm_needs_no_camera() -> None:
-    assert contract(mode="FTM").check_against(replace(CELL, camera=False)) == ()
-
-
-def test_joint_angles_are_a_need_like_others() -> None:
-    document = contract(observation=(ObservationEntry.of("last_joint_angle"),))
-    assert "joint angles" in document.check_against(replace(CELL, last_joint=False))[0]
 
 
 def test_the_schema_names_every_field() -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 from service.cell.cell import Cell
 from service.cell.inference import InferenceKind
-from service.cell.process import standing
+from service.cell.process import attended
 from service.config import CellConfig
 from service.drivers.base import Driver, Sample
 from service.drivers.sim_wire import check_task
@@ -180,7 +180,7 @@ async def lockstep_ur_cell(
         cell = Cell(arm.config, driver, inference=inference)
         bench = Bench(cell, arm)  # type: ignore[arg-type]
         cell.journal.observers.append(bench)
-        async with standing(cell):
+        async with attended(cell):
             await bench.until(lambda: cell.newest_sample is not None)
             yield bench
 

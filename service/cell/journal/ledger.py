@@ -1,6 +1,7 @@
-"""The journal of runs and events: one JSON object per line, appended and synced, never rewritten.
+"""The ledger of runs and events: one JSON object per line, appended and synced, never rewritten.
 
-A run stands in it twice, accepted and ended; the later line counts. A run without an end was cut off with its process.
+A run has two lines, one when it is accepted and one when it ends; the later line counts. A run without an end was cut
+off with its process.
 """
 
 import json
@@ -11,31 +12,31 @@ from typing import Any, cast
 
 from pydantic import ValidationError
 
-from service.cell.storage import StorageThread
+from service.cell.journal.storage import StorageThread
 from service.faults import FaultCode
 from service.messages import Event, EventKind, Run, RunState
 
 FILE_NAME = "ledger.jsonl"
 RUNS_IN_MEMORY = 10_000
 LATCHING = frozenset({RunState.LATCHED, RunState.STOPPED, RunState.INTERRUPTED})
-"""Ends of a run that leave the cell latched."""
+"""States of an ended run that leave the cell latched."""
 
 
 class Ledger:
-    """Runs by id, newest last, with every change journalled.
+    """Runs by id, newest last; every change is written to the file.
 
-    Opening blocks on the disk; everything later hands its write to the storage thread and returns at once.
+    Opening blocks on the disk. Every later method hands its write to the storage thread and returns at once.
 
     Args:
-        directory: the cell's state directory; made if it is not there.
+        directory: the cell's state directory; made if it does not exist.
         storage: does the writes.
-        now: time of day, for the end of runs that are found unfinished.
+        now: time of day that stamps the end of runs found unfinished.
 
     Attributes:
-        interrupted: runs that were found without an end.
-        damaged_lines: found on opening, each skipped.
-        tail_is_damaged: the last line found was one of them.
-        unacknowledged: code and run of the last latching fault that was found without a reset after it.
+        interrupted: runs found without an end.
+        damaged_lines: number of unreadable lines found on opening; each is skipped.
+        tail_is_damaged: whether the last line was unreadable.
+        unacknowledged: code and run of the last latching fault without a reset after it.
 
     Raises:
         OSError: the directory or file cannot be used.
@@ -70,10 +71,10 @@ class Ledger:
             self.record(run)
 
     def record(self, run: Run) -> Future[None]:
-        """Take in a run, new or changed.
+        """Record a run, new or changed.
 
         Returns:
-            Done once the line is on the disk; holds the OSError if it could not be written.
+            Future that is done once the line is on the disk; it holds the OSError if the line could not be written.
 
         Raises:
             StorageFullError: the disk does not keep up; the run is in memory all the same.
@@ -88,20 +89,20 @@ class Ledger:
         return self._append({"run": run.model_dump(mode="json")})
 
     def forget(self, run_id: str) -> None:
-        """Take a run out again that was not accepted after all; one that is not known is no matter.
+        """Remove a run that was not accepted after all; do nothing where it is not known.
 
         Raises:
-            StorageFullError: the disk does not keep up; the run is out of memory all the same.
+            StorageFullError: the disk does not keep up; the run is removed from memory all the same.
         """
         if self._forget(run_id):
             # Its line may have reached the disk, or may yet
             self._append({"forgotten": run_id})
 
     def note(self, event: Event) -> None:
-        """Take in an event.
+        """Record an event.
 
         Raises:
-            StorageFullError: the disk does not keep up; the event is lost to the journal.
+            StorageFullError: the disk does not keep up; the event is not written.
         """
         self._append({"event": event.model_dump(mode="json")})
 
@@ -113,7 +114,7 @@ class Ledger:
         return None if run_id is None else self._runs[run_id]
 
     def newest(self, limit: int, before: str | None = None) -> tuple[Run, ...]:
-        """Return up to `limit` runs, newest first, only those older than `before` where it is given and known."""
+        """Return up to `limit` runs, newest first; only those older than `before` where it is given and known."""
         runs = list(self._runs.values())
         if before in self._runs:
             runs = runs[: list(self._runs).index(before)]
@@ -140,7 +141,7 @@ class Ledger:
         return run is not None
 
     def _take(self, document: dict[str, Any]) -> None:
-        """Take in one line of the journal."""
+        """Take in one line of the file."""
         if "run" in document:
             run = Run.model_validate(document["run"])
             self._runs[run.id] = run
@@ -158,7 +159,7 @@ class Ledger:
                 self.unacknowledged = None
 
     def _load(self, path: Path) -> bool:
-        """Read the journal; return whether its last line was torn off by a crash."""
+        """Read the file; return whether its last line was torn off by a crash."""
         try:
             raw = path.read_bytes()
         except FileNotFoundError:

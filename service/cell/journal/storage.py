@@ -1,4 +1,4 @@
-"""One thread that does the cell's disk writes in order, so that a slow disk never blocks the control loop."""
+"""The thread that writes the cell's files in order: a slow disk never blocks the control loop."""
 
 import queue
 import threading
@@ -7,9 +7,9 @@ from concurrent.futures import Future
 from typing import Any
 
 CAPACITY = 1024
-"""Writes that may wait. A run makes about ten, so a full queue means a disk that has stopped answering."""
+"""Largest number of waiting writes. A run makes about ten, so a full queue means that the disk no longer answers."""
 RETRY_S = 0.5
-"""Between two tries of an owed job."""
+"""Time between two tries of an owed job."""
 
 
 class StorageFullError(OSError):
@@ -17,10 +17,10 @@ class StorageFullError(OSError):
 
 
 class StorageThread:
-    """Runs jobs one after another on a thread of its own.
+    """Runs jobs one after another on its own thread.
 
-    A job that fails is remembered in `fault` until one succeeds again: the cell refuses to start a run meanwhile.
-    An *owed* job that fails is tried again until it succeeds, and is a fault until then, whatever else succeeds.
+    A job that fails sets `fault` until another job succeeds; the cell starts no run meanwhile. An *owed* job that fails
+    is tried again until it succeeds, and is a fault until then, whatever else succeeds.
     """
 
     def __init__(self) -> None:
@@ -33,25 +33,25 @@ class StorageThread:
 
     @property
     def fault(self) -> str | None:
-        """Why the last write failed, or that writes are piling up; None when the disk is well."""
+        """The last write's error, or the number of waiting writes where they pile up; None while all is well."""
         if self._jobs.qsize() > CAPACITY // 2:
             return f"{self._jobs.qsize()} writes wait for the disk"
         return self._owed_fault or self._fault
 
     @property
     def owed_fault(self) -> str | None:
-        """Why the owed job has not been done yet; None when nothing is owed. Exact on the storage thread only."""
+        """The error of the owed job's last try; None when nothing is owed. Exact on the storage thread only."""
         return self._owed_fault
 
     def submit(self, job: Callable[[], Any], *, owed: bool = False) -> Future[Any]:
-        """Queue a job; never blocks. The future holds the result of its first try, or the exception.
+        """Queue a job without blocking. The future holds the result of its first try, or the exception.
 
         Args:
-            job: blocks on the disk.
-            owed: to be tried again until it succeeds; a newer owed job takes its place. Never refused.
+            job: may block on the disk.
+            owed: the job is never refused, and is tried again until it succeeds or a newer owed job takes its place.
 
         Raises:
-            StorageFullError: `CAPACITY` jobs wait already.
+            StorageFullError: `CAPACITY` jobs are waiting.
         """
         if not owed and self._jobs.qsize() >= CAPACITY:
             self._fault = f"{CAPACITY} writes wait for the disk"

@@ -1,4 +1,4 @@
-"""What the cell remembers and tells: latch and ledger on disk, events to whoever listens. Nothing here blocks."""
+"""The journal of one cell: latch and ledger on disk, events to the observers. Only its opening and `close` block."""
 
 import secrets
 from collections.abc import Callable
@@ -8,10 +8,10 @@ from typing import Protocol, TypeVar
 
 import structlog
 
-from service.cell.latch import LatchFile
-from service.cell.ledger import Ledger
-from service.cell.records import TickRecord
-from service.cell.storage import StorageFullError, StorageThread
+from service.cell.journal.latch_file import LatchFile
+from service.cell.journal.ledger import Ledger
+from service.cell.journal.storage import StorageFullError, StorageThread
+from service.cell.tick_record import TickRecord
 from service.faults import FaultCode
 from service.messages import CellState, Event, EventKind, Latch, Run, Telemetry
 
@@ -21,7 +21,7 @@ _log = structlog.get_logger("service.cell")
 
 
 class Observer(Protocol):
-    """Someone who wants to know; called on the event loop's thread, after what it is about has been done."""
+    """Is told of what the cell did, afterwards, on the event loop's thread."""
 
     def on_event(self, event: Event) -> None: ...
 
@@ -31,14 +31,15 @@ class Observer(Protocol):
 
 
 class Journal:
-    """Latch, ledger and events of one cell.
+    """Latch, runs and events of one cell.
 
     Args:
         directory: the cell's state directory.
         time_of_day: seconds since the Unix epoch, for stamps only.
 
     Attributes:
-        latch: in force; set at once, on disk a moment later.
+        observers: called in this order.
+        latch: in force. It is set at once, and is on the disk a moment later.
         epoch: drawn when the process starts.
 
     Raises:
@@ -53,24 +54,26 @@ class Journal:
         self._latch_file = LatchFile(directory)
         self.latch: Latch | None = self._latch_file.read(time_of_day())
         self._storage = StorageThread()
-        self.ledger = Ledger(directory, self._storage, time_of_day())
+        self._ledger = Ledger(directory, self._storage, time_of_day())
         if self.latch is None:
             self._latch_by_ledger()
 
     @property
     def fault(self) -> str | None:
-        """Why the disk cannot be relied on; None when it can."""
+        """The reason why the disk cannot be relied on; None while it can."""
         return self._storage.fault
 
+    # --- the latch
+
     def set_latch(self, code: FaultCode, text: str, run_id: str | None, peak_force_n: float | None) -> Latch:
-        """Latch; in force on return, whatever the disk does."""
+        """Latch. The latch is in force on return, whatever the disk does."""
         latch = Latch(code=code, text=text, latched_at=self.time_of_day(), run_id=run_id, peak_force_n=peak_force_n)
         self.latch = latch
         self._storage.submit(lambda: self._latch_file.write(latch), owed=True)
         return latch
 
     def clear_latch_on_disk(self) -> Future[None]:
-        """Clear the file; `latch` stays in force until the caller has seen that it worked.
+        """Clear the file. The latch stays in force until `drop_latch`.
 
         Raises:
             StorageFullError: the disk does not keep up.
@@ -84,13 +87,33 @@ class Journal:
 
         return self._storage.submit(clear)
 
+    def drop_latch(self) -> None:
+        """End the latch in this process, once its file is clear."""
+        self.latch = None
+
+    # --- runs
+
     def record(self, run: Run) -> Future[None] | None:
-        """Take in a run; None where the disk does not keep up."""
-        return self._try(lambda: self.ledger.record(run))
+        """Record a run, new or changed; return None where the disk does not keep up."""
+        return self._try(lambda: self._ledger.record(run))
 
     def forget(self, run_id: str) -> None:
-        """Take a run out again that was not accepted after all."""
-        self._try(lambda: self.ledger.forget(run_id))
+        """Remove a run that was not accepted after all."""
+        self._try(lambda: self._ledger.forget(run_id))
+
+    def find(self, run_id: str) -> Run | None:
+        """Return a run as it was last recorded."""
+        return self._ledger.find(run_id)
+
+    def find_key(self, idempotency_key: str) -> Run | None:
+        """Return the run that a start with this key began."""
+        return self._ledger.find_key(idempotency_key)
+
+    def newest(self, limit: int, before: str | None = None) -> tuple[Run, ...]:
+        """Return up to `limit` runs, newest first; only those older than `before` where it is given and known."""
+        return self._ledger.newest(limit, before)
+
+    # --- events
 
     def tell(
         self, kind: EventKind, state: CellState, text: str, code: FaultCode | None = None, run_id: str | None = None
@@ -101,14 +124,14 @@ class Journal:
             service_epoch=self.epoch, seq=self._seq, time=self.time_of_day(), kind=kind, state=state,
             run_id=run_id, code=code, text=text,
         )  # fmt: skip
-        self._try(lambda: self.ledger.note(event))
+        self._try(lambda: self._ledger.note(event))
         self.inform(lambda observer: observer.on_event(event))
 
-    def inform(self, of: Callable[[Observer], None]) -> None:
-        """Call every observer; one that fails is logged, and neither the cell nor another observer suffers."""
+    def inform(self, call: Callable[[Observer], None]) -> None:
+        """Call every observer. One that fails is logged; neither the cell nor another observer suffers."""
         for observer in self.observers:
             try:
-                of(observer)
+                call(observer)
             except Exception:
                 _log.exception("observer", kind=type(observer).__name__)
 
@@ -116,12 +139,12 @@ class Journal:
         """Write what is pending; return whether all of it was written in time."""
         written = self._storage.close(timeout_s)
         if written:
-            self.ledger.close()
+            self._ledger.close()
         return written
 
     def _latch_by_ledger(self) -> None:
-        """The latch's file says that nothing is latched: see whether the journal bears it out."""
-        ledger, then = self.ledger, "inspect the cell, then reset"
+        """Latch where the ledger contradicts the latch's file, which says that nothing is latched."""
+        ledger, then = self._ledger, "inspect the cell, then reset"
         if ledger.interrupted:
             run = ledger.interrupted[-1]
             text = f"run {run.id} was under way when the control process ended: {then}"

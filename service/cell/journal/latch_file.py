@@ -1,7 +1,7 @@
-"""The latched stop, on disk: set by a fault, cleared by an acknowledged reset, kept across restarts and power cycles.
+"""The latch on disk: set by a fault, cleared by an acknowledged reset, kept across restarts and power cycles.
 
-The file holds one JSON object, `{"latch": null}` or `{"latch": {...}}`. Anything else reads as latched: a latch is
-never cleared by damage. Only a directory in which the cell has never run has no file.
+The file holds one JSON object, `{"latch": null}` or `{"latch": {...}}`. Anything else reads as latched, so damage never
+clears a latch. The file is missing only where the cell has never run.
 """
 
 import json
@@ -17,10 +17,10 @@ FILE_NAME = "latch.json"
 
 
 class LatchFile:
-    """Reads and writes the latch. Methods block on the disk: the cell calls them on its storage thread.
+    """Reads and writes the latch. The methods block on the disk, so the cell calls them on its storage thread.
 
     Args:
-        directory: the cell's state directory; made if it is not there.
+        directory: the cell's state directory; made if it does not exist.
 
     Raises:
         OSError: the directory cannot be made.
@@ -31,7 +31,7 @@ class LatchFile:
         self._path = directory / FILE_NAME
 
     def read(self, now: float) -> Latch | None:
-        """Return the latch in force; what cannot be read is a latch of code INTERNAL, stamped `now`."""
+        """Return the latch in force; an unreadable file is a latch of code INTERNAL, stamped `now`."""
         try:
             text = self._path.read_text("utf-8")
         except FileNotFoundError:
@@ -45,7 +45,7 @@ class LatchFile:
             return self._unreadable(now, error)
 
     def write(self, latch: Latch | None) -> None:
-        """Replace the file as a whole, so that a power cut leaves the old latch or the new one.
+        """Replace the file as a whole: a power cut leaves the old latch or the new one.
 
         Raises:
             OSError: the disk refuses; the old file stands.
