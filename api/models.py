@@ -47,7 +47,11 @@ class StartBody(BaseModel):
 
     recipe: str = Field(pattern=NAME_PATTERN, description="One of the recipes that `GET /status` lists.")
     seed: int | None = Field(
-        None, ge=0, lt=2**53, strict=True, description="Of the simulated world; drawn if left out. A real arm has none."
+        None,
+        ge=0,
+        lt=2**53,
+        strict=True,
+        description="Seed of the simulated world; drawn at random if left out. A real arm takes none.",
     )
 
 

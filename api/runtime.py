@@ -21,7 +21,7 @@ class Runtime:
     """One running API.
 
     Attributes:
-        config: of the cell, as read at start-up.
+        config: configuration of the cell, as read at start-up.
         cell: the followed cell.
         processes: what was started beside this server.
         closing: set when the server was told to end; streams return then.

@@ -148,7 +148,7 @@ class PolicyContract(Section):
         compliance: compliance law around the target.
         wrench_window_ticks: number of newest samples of a step that are averaged.
         hidden_size: size of the recurrent state; 0: none.
-        provenance: how the policy was trained: anything that JSON can express.
+        provenance: record of the training: anything that JSON can express.
         evaluation: measured results.
     """
 

@@ -49,7 +49,7 @@ class Outcome:
 
     Attributes:
         observation: (n, size) float32, raw units, after the step.
-        reward: of this step.
+        reward: reward of this step.
         terminated: the episode ended by insertion or by a fault.
         truncated: the episode reached its last step.
         success: the episode ended with the peg `SUCCESS_DEPTH_M` below the mouth and its axis inside the hole.
