@@ -13,7 +13,7 @@ SEED ?=
 MODEL ?= models/vftm-dsl.onnx
 EXPERIMENT ?= vftm-dsl-fast
 EXTRAS := dev,training
-PACKAGES := wire service sim_backend api training benchmarks
+PACKAGES := wire service sim_backend api training benchmarks cli
 PINS ?= constraints.txt
 BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.installed-runtime
@@ -77,7 +77,7 @@ constraints: ## renew the pins (PINS=constraints.txt)
 
 .PHONY: run
 run: $(RUNTIME) ## start the simulated cell and insert one peg (ONCE=1: then exit; PORT=8000; SEED=3)
-	@exec $(BIN)/python -m api.demo --port $(PORT) $(if $(ONCE),--once) $(if $(SEED),--seed $(SEED))
+	@exec $(BIN)/dsl-assembly demo --port $(PORT) $(if $(ONCE),--once) $(if $(SEED),--seed $(SEED))
 
 # --- checks ---------------------------------------------------------------------------------------------------------
 
@@ -138,4 +138,4 @@ report: $(TRAINING) ## write docs/results.html and docs/results.md from results/
 	$(BIN)/dsl-assembly report $(ARGS)
 
 benchmark: $(TRAINING) ## measure, print the tables, save them in benchmarks/results/ (ARGS=--help)
-	$(BIN)/python -m benchmarks $(ARGS)
+	$(BIN)/dsl-assembly bench $(ARGS)

@@ -16,9 +16,9 @@ from pydantic.json_schema import models_json_schema
 
 from api import problems
 from api.cell import Cell
+from api.control_process import JOIN_S, ControlProcess
 from api.history import RunHistory
 from api.models import Frame
-from api.processes import JOIN_S, CellProcesses
 from api.protection import Protection, is_loopback
 from api.routes import commands, page, runs, state, streams
 from api.runtime import Runtime
@@ -112,35 +112,35 @@ def create_app(config: CellConfig, path: Path) -> Protection:
         endpoint = [config.cell.endpoint]
         history = RunHistory(database)
         await history.open()
-        processes = CellProcesses(config, path)
+        control_process = ControlProcess(config, path)
         closing = asyncio.Event()
         async with CellClient(config.cell.id, endpoint) as client, CellClient(config.cell.id, endpoint) as stopper:
             cell = Cell(client, stopper, history)
-            app.state.runtime = Runtime(config, cell, processes, closing)
+            app.state.runtime = Runtime(config, cell, control_process, closing)
 
             def close_streams() -> None:
                 closing.set()
                 cell.feed.close()
 
-            tasks = [_spawn(cell.follow()), _spawn(_join_or_start(cell, processes))]
+            tasks = [_spawn(cell.follow()), _spawn(_join_or_start(cell, control_process))]
             with _before_shutdown(close_streams):
                 yield
             close_streams()
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            await processes.end()
+            await control_process.end()
         await history.close()
 
     return Protection(build_routes(lifespan), hosts=config.api.allowed_hosts, allow_remote=config.api.allow_remote)
 
 
-async def _join_or_start(cell: Cell, processes: CellProcesses) -> None:
+async def _join_or_start(cell: Cell, control_process: ControlProcess) -> None:
     if await cell.wait_alive(JOIN_S):
         _log.info("joined a control process that was there")
         return
-    await processes.start()
-    await processes.watch()
+    control_process.start()
+    await control_process.watch()
 
 
 def _spawn(work: Any) -> asyncio.Task[None]:

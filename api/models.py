@@ -53,6 +53,7 @@ class StartBody(BaseModel):
         strict=True,
         description="Seed of the simulated world; drawn at random if left out. A real arm takes none.",
     )
+    operator: str = Field("", max_length=64, description="Name of the requester; recorded in the run's `requested_by`.")
 
 
 class ResetBody(BaseModel):

@@ -8,9 +8,9 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Depends, Request
 
 from api.cell import Cell
+from api.control_process import ControlProcess
 from api.models import CellStatus
 from api.problems import ProblemError
-from api.processes import CellProcesses
 from service.config import CellConfig
 
 T = TypeVar("T")
@@ -23,13 +23,13 @@ class Runtime:
     Attributes:
         config: configuration of the cell, as read at start-up.
         cell: the followed cell.
-        processes: what was started beside this server.
-        closing: set when the server was told to end; streams return then.
+        control_process: control process behind this server, started by the server or joined.
+        closing: event that is set when the server is told to end; streams return then.
     """
 
     config: CellConfig
     cell: Cell
-    processes: CellProcesses
+    control_process: ControlProcess
     closing: asyncio.Event
 
     async def unless_closing(self, work: Coroutine[Any, Any, T]) -> T:
@@ -54,7 +54,7 @@ class Runtime:
         )
 
     def status(self) -> CellStatus:
-        return CellStatus.now(self.config.cell.id, self.cell.client, self.processes.note)
+        return CellStatus.now(self.config.cell.id, self.cell.client, self.control_process.note)
 
 
 def runtime_of(request: Request) -> Runtime:

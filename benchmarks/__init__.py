@@ -1,1 +1,1 @@
-"""Measurements of this project on one machine: `python -m benchmarks`. Figures are reported, never asserted."""
+"""Measurements of this project on one machine: `dsl-assembly bench`. Figures are reported, never asserted."""

@@ -35,6 +35,7 @@ from service.messages import (
     StopRequest,
     Telemetry,
 )
+from service.program import PROGRAM
 from wire.session import call_in_loop, close_session, open_session, query
 
 SILENCE_S = 0.5
@@ -261,7 +262,7 @@ class CellClient:
         if not answers:
             raise CellSilentError(
                 f"no answer from cell {self._cell} at {', '.join(self._connect)} within {timeout_s} s: "
-                "is `python -m service run` up?"
+                f"is the control process up? ({PROGRAM} serve, or {PROGRAM} control)"
             )
         try:
             return answer.validate_json(answers[0])

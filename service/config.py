@@ -1,7 +1,7 @@
 """Configuration of a cell: one TOML file, overridden by the environment. Errors name the field.
 
-The file is `$DSL_ASSEMBLY_CONFIG`, else `config/cell.toml`. A variable such as `DSL_ASSEMBLY__API__PORT=8001` overrides
-one field. Relative paths are relative to the file.
+The file is `$DSL_ASSEMBLY_CONFIG`, else `cell.toml`, else `config/cell.toml`. A variable such as
+`DSL_ASSEMBLY__API__PORT=8001` overrides one field. Relative paths are relative to the file.
 """
 
 import os
@@ -13,6 +13,7 @@ from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
 from service.messages import NAME_PATTERN
+from service.program import PROGRAM
 from wire.limits import (
     FORCE_HARD_MAXIMUM_N,
     MAX_SPEED,
@@ -26,7 +27,8 @@ from wire.limits import (
 )
 
 PATH_VARIABLE = "DSL_ASSEMBLY_CONFIG"
-DEFAULT_PATH = Path("config/cell.toml")
+DEFAULT_PATHS = (Path("cell.toml"), Path("config/cell.toml"))
+"""Looked for in the working directory: in a cell's own folder, and in a checkout of this project."""
 
 
 class ConfigError(ValueError):
@@ -211,7 +213,7 @@ class SimSection(Section):
         world: name of the world in the simulator's keys.
         endpoint: Zenoh endpoint that the simulator listens on.
         mode: whether time passes by itself; an emulated UR controller always runs in real time.
-        autostart: whether `python -m service run` starts and ends the simulator.
+        autostart: whether the control process starts the simulator where none listens, and ends it again.
     """
 
     world: Name = "world-1"
@@ -228,7 +230,7 @@ class UrSection(Section):
         rtde_port: port of its real-time data exchange.
         dashboard_port: port of its dashboard server.
         primary_port: port of its primary interface, which takes the control program.
-        gripper_port: port of the URCap of a Robotiq gripper, for `python -m service ur gripper`.
+        gripper_port: port of the URCap of a Robotiq gripper, for `dsl-assembly ur gripper`.
         simulated: whether it is the emulated controller of this project, whose world is laid out from a seed; `sim`
             then names that world.
         payload_kg: mass of everything that the flange carries.
@@ -282,7 +284,7 @@ class ApiSection(Section):
         host: address to listen on; one other than loopback needs `allow_remote`.
         port: port to listen on.
         database: SQLAlchemy URL of the run history (SQLite); empty: a file in the state directory.
-        autostart: whether the API starts the control process, and the simulator that it needs, where none answers.
+        autostart: whether the API starts the control process where none answers.
         allow_remote: whether requests from other machines are accepted; there is no authorisation yet.
         allowed_hosts: names in a `Host` header that are accepted besides the loopback ones.
     """
@@ -362,13 +364,13 @@ class CellConfig(BaseSettings):
 
     @property
     def simulator_arguments(self) -> tuple[str, ...] | None:
-        """Arguments of `python -m sim_backend` for the driver's simulator; None for a real arm."""
+        """Arguments of this project's command for the driver's simulator; None for a real arm."""
         sim, ur = self.sim, self.ur
         world = ("--world", sim.world, "--listen", sim.endpoint)
         if self.cell.driver == "zenoh_sim":
-            return ("serve", "--mode", sim.mode.replace("_", "-"), *world)
+            return ("sim", "serve", "--mode", sim.mode.replace("_", "-"), *world)
         if ur is not None and ur.simulated:
-            return ("ur-controller", "--host", ur.host, *world)
+            return ("sim", "ur-controller", "--host", ur.host, *world)
         return None
 
     @classmethod
@@ -383,18 +385,36 @@ class CellConfig(BaseSettings):
         return (env_settings, init_settings)
 
 
+def find(path: Path | None = None) -> Path:
+    """Return the absolute path of the configuration: `path`, else `$DSL_ASSEMBLY_CONFIG`, else one of `DEFAULT_PATHS`.
+
+    Raises:
+        ConfigError: nothing names one, and there is none in the working directory.
+    """
+    if path is None and (named := os.environ.get(PATH_VARIABLE)):
+        path = Path(named)
+    path = path or next((default for default in DEFAULT_PATHS if default.is_file()), None)
+    if path is None:
+        looked_for = " and no ".join(map(str, DEFAULT_PATHS))
+        raise ConfigError(
+            f"no configuration: there is no {looked_for} in {Path.cwd()}; name one by --config or ${PATH_VARIABLE}, "
+            f"or write a cell's folder: {PROGRAM} config new FOLDER"
+        )
+    return path.resolve()
+
+
 def load(path: Path | None = None) -> CellConfig:
     """Read and check the configuration.
 
     Args:
-        path: the TOML file; None takes `$DSL_ASSEMBLY_CONFIG`, else `config/cell.toml`.
+        path: the TOML file; None takes the one that `find` finds.
 
     Raises:
         ConfigError: no such file, not TOML, or a field that is missing, unknown or out of range.
     """
-    path = (path or Path(os.environ.get(PATH_VARIABLE, DEFAULT_PATH))).resolve()
+    path = find(path)
     if not path.is_file():
-        raise ConfigError(f"no configuration at {path}: set {PATH_VARIABLE}, or start from config/cell.toml")
+        raise ConfigError(f"no configuration at {path}; to write a cell's folder: {PROGRAM} config new FOLDER")
     try:
         document = TomlConfigSettingsSource(CellConfig, path)()
     except ValueError as error:
@@ -412,7 +432,7 @@ def _field(location: tuple[int | str, ...]) -> str:
 
 def _said(problem: ErrorDetails) -> str:
     if problem["type"] == "extra_forbidden":
-        return "no such field; `python -m service schema` lists them"
+        return f"no such field; `{PROGRAM} config schema` lists them"
     if problem["type"] == "value_error":
         return problem["msg"].removeprefix("Value error, ")
     given = f", not {problem['input']!r}" if isinstance(problem["input"], str | int | float) else ""

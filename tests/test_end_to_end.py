@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -77,8 +78,11 @@ class Server:
         return wait_for(running, 60, self.log)
 
     def started(self) -> dict[str, int]:
-        """Return the process ids of what this API started."""
+        """Return the process ids of what this API started, and of what that started."""
         found = re.findall(r'"name": "([a-z ]+)", "pid": (\d+).*"event": "started"', self.log.read_text())
+        if found:
+            log = self.log.with_name("state") / "logs" / "control-process.log"
+            found += re.findall(r"started .* name=([a-z ]+) pid=(\d+)", log.read_text())
         return {name: int(pid) for name, pid in found}
 
 
@@ -240,7 +244,8 @@ def test_a_dead_control_process_is_unknown_and_a_stop_says_that_it_reached_nobod
     with server(config_path) as api:
         api.wait("READY")
         api.wait_running(start(api))
-        os.kill(api.started()["control process"], signal.SIGKILL)
+        pids = api.started()
+        os.kill(pids["control process"], signal.SIGKILL)
         status = api.wait("UNKNOWN")
         assert status["measured"] is None
         assert status["can_start"] is False
@@ -248,3 +253,18 @@ def test_a_dead_control_process_is_unknown_and_a_stop_says_that_it_reached_nobod
         assert (stopped.status_code, stopped.json()["reason"]) == (503, "STOP_NOT_DELIVERED")
         note = wait_for(lambda: "ended with status -9" in (why := api.status()["why_not"]) and why, 10, api.log)
         assert "control process" in note
+        wait_for(lambda: not alive(pids["simulator"]), 10, api.log)
+
+
+def test_a_port_that_is_taken_is_named_where_a_person_looks(config_path: Path) -> None:
+    """The simulator cannot listen: its own reason reaches the status of the API, through the control process."""
+    address = re.search(r"\[sim\].*?127\.0\.0\.1:(\d+)", config_path.read_text(), re.DOTALL)
+    assert address is not None
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", int(address[1])))  # bound and not listening: nobody answers there
+        with server(config_path) as api:
+            why = wait_for(lambda: "ended with status" in (why := api.status()["why_not"]) and why, 60, api.log)
+            assert f"127.0.0.1:{address[1]} is in use" in why
+            assert "simulator" in why
+            assert why.endswith("Nothing restarts it.")
+            assert not alive(api.started()["simulator"])

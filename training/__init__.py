@@ -1,4 +1,4 @@
-"""Training, evaluation and export of policies. Importing it registers `dsl_assembly/PegInHole-v0` with Gymnasium.
+"""Training, evaluation and export of policies; the import registers `dsl_assembly/PegInHole-v0` with Gymnasium.
 
 The extra `training` installs Gymnasium. Without it, this package still imports; modules that need Gymnasium do not.
 """

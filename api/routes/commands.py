@@ -1,6 +1,5 @@
 """Start, stop and reset."""
 
-import asyncio
 from typing import Annotated
 
 import structlog
@@ -10,18 +9,12 @@ from api.history import HistoryError
 from api.models import ResetBody, StartBody, StopAnswer
 from api.problems import SILENT_TEXT, ProblemError, described
 from api.runtime import RuntimeDependency, runtime_of
-from service.client import CellClient, CellSilentError
-from service.messages import CellState, ResetRequest, Run, StartRequest, Status, StopRequest
+from service.client import CellSilentError
+from service.messages import CellState, ResetRequest, Run, StartRequest, StopRequest
+from service.standstill import confirm, deliver, is_standing
 
 router = APIRouter(tags=["commands"])
 _log = structlog.get_logger("api.commands")
-
-DELIVERY_S = 1.0
-"""How long a stop is sent again to a control process that does not answer."""
-CONFIRMATION_S = 1.0
-"""How long a stop waits for the arm to be measured standing before it answers 202."""
-STANDING_SAMPLE_AGE_S = 0.2
-POLL_S = 0.02
 
 
 @router.post(
@@ -58,7 +51,9 @@ async def start(
         await runtime.cell.history.check()
     except HistoryError as error:
         raise ProblemError(503, "STORAGE", str(error)) from error
-    request = StartRequest(recipe=body.recipe, seed=body.seed, idempotency_key=idempotency_key, requested_by="api")
+    request = StartRequest(
+        recipe=body.recipe, seed=body.seed, idempotency_key=idempotency_key, requested_by=body.operator or "api"
+    )
     try:
         result = await runtime.unless_closing(runtime.cell.client.start(request))
     except CellSilentError as error:
@@ -104,12 +99,12 @@ async def stop(request: Request, response: Response) -> StopAnswer:
     runtime = runtime_of(request)
     stopper = runtime.cell.stopper
     try:
-        status = await _deliver(stopper, StopRequest(reason="stop over HTTP", requested_by="api"))
+        status = await deliver(stopper, StopRequest(reason="stop over HTTP", requested_by="api"))
     except CellSilentError as error:
         _log.error("stop not delivered")
         raise ProblemError(503, "STOP_NOT_DELIVERED", SILENT_TEXT, state=CellState.UNKNOWN) from error
-    status = await _standing(stopper, status)
-    confirmed = _is_standing(status)
+    status = await confirm(stopper, status)
+    confirmed = is_standing(status)
     _log.warning("stop", confirmed=confirmed, state=status.state.value)
     if not confirmed:
         response.status_code = 202
@@ -141,43 +136,8 @@ async def reset(body: ResetBody, runtime: RuntimeDependency) -> StopAnswer:
     status = await runtime.unless_closing(runtime.cell.client.reset(request))
     _log.warning("reset", operator=body.operator, comment=body.comment, acknowledge=body.acknowledge)
     return StopAnswer(
-        confirmed=_is_standing(status),
+        confirmed=is_standing(status),
         state=status.state,
         measured=status.measured,
         detail="acknowledged; nothing moves",
-    )
-
-
-async def _deliver(stopper: CellClient, request: StopRequest) -> Status:
-    # A cell whose session is just connecting answers nothing at once, so a refusal to answer is worth asking again.
-    loop = asyncio.get_running_loop()
-    deadline = loop.time() + DELIVERY_S
-    while True:
-        try:
-            return await stopper.stop(request, timeout_s=max(0.1, deadline - loop.time()))
-        except CellSilentError:
-            if loop.time() >= deadline:
-                raise
-            await asyncio.sleep(POLL_S)
-
-
-async def _standing(stopper: CellClient, status: Status) -> Status:
-    """Return the first status from `status` on that shows the arm standing, or the newest when time is up."""
-    loop = asyncio.get_running_loop()
-    deadline = loop.time() + CONFIRMATION_S
-    while not _is_standing(status) and loop.time() < deadline:
-        await asyncio.sleep(POLL_S)
-        newest = stopper.last_status
-        if newest is not None and (newest.service_epoch != status.service_epoch or newest.seq > status.seq):
-            status = newest
-    return status
-
-
-def _is_standing(status: Status) -> bool:
-    measured = status.measured
-    return (
-        status.state in {CellState.READY, CellState.LATCHED}
-        and measured is not None
-        and not measured.moving
-        and measured.sample_age_s <= STANDING_SAMPLE_AGE_S
     )

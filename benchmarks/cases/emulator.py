@@ -82,7 +82,7 @@ def measure(scale: float) -> Result:
         f"{busy_s * 1e6:.0f} µs of its 2000 (median), {busy_s / idle_s:.1f} times that of an idle controller; "
         f"{(busy.late_s > TICK_S).mean():.1%} of the beats come more than a tick late."
         + ("" if may_use_fifo() else " SCHED_FIFO is refused here, so there are no rows with it."),
-        method=f"{seconds:.0f} s per row of `python -m sim_backend ur-controller` in real time, recorded inside it: "
+        method=f"{seconds:.0f} s per row of `dsl-assembly sim ur-controller` in real time, recorded inside it: "
         "how late each beat of 2 ms begins, and how long its tick takes, clients' input and output included; CPU time "
         "of the whole process. Each client takes packages at 500 Hz; clients that only read take the driver's "
         f"{len(OUTPUTS)} variables. The senders of programs are clients too: ur_rtde's control interface, and this "

@@ -19,6 +19,7 @@ from benchmarks.harness.result import QUANTILES, Result, UnavailableError, quant
 from benchmarks.stands.shipped_cell import ShippedCell, shipped_cell
 from service.client import CellClient
 from service.messages import CellState
+from service.program import MODULE
 
 CONNECTIONS = 16
 
@@ -72,9 +73,9 @@ def _observe(shipped: ShippedCell, arguments: tuple[str, ...], seconds: float, *
     config, environment = shipped.config, shipped.environment
     output = config.cell.state_dir / "lateness.npy"
     port = str(config.api.port)
-    world = ("serve", "--world", config.sim.world, "--mode", "real-time", "--listen", config.sim.endpoint)
+    world = ("sim", "serve", "--world", config.sim.world, "--mode", "real-time", "--listen", config.sim.endpoint)
     lines: list[str] = []
-    with running("sim_backend", *world), contextlib.ExitStack() as others:
+    with running(MODULE, *world), contextlib.ExitStack() as others:
         service = others.enter_context(
             running(
                 "benchmarks.stands.watched_service", str(output), *arguments, ready="serving", environment=environment

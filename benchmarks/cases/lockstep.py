@@ -10,6 +10,7 @@ from benchmarks.harness.processes import free_port, running
 from benchmarks.harness.result import Result, median
 from service.drivers.base import PoseTarget
 from service.drivers.sim_wire import CommandWriter
+from service.program import MODULE
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire import keys
 from wire import records as wire
@@ -39,7 +40,7 @@ def measure(scale: float) -> Result:
     ticks = max(10, int(10_000 * scale) // POLICY_TICKS) * POLICY_TICKS
     rows = [("world in this process, arm engaged", 1, _in_process(ticks))]
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with running("sim_backend", "serve", "--world", WORLD, "--mode", "lockstep", "--listen", endpoint):
+    with running(MODULE, "sim", "serve", "--world", WORLD, "--mode", "lockstep", "--listen", endpoint):
         session = open_session(connect=[endpoint])
         try:
             for each in (1, POLICY_TICKS):

@@ -10,6 +10,7 @@ from benchmarks.harness.exchange import TIMEOUT_S, answer, spans, until_answered
 from benchmarks.harness.processes import free_port, running
 from benchmarks.harness.result import QUANTILES, Result, median, quantiles
 from benchmarks.stands.echo import ASK, PING, PONG
+from service.program import MODULE
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire import keys
 from wire.records import STATE, Kind, new
@@ -33,7 +34,7 @@ def measure(scale: float) -> Result:
         finally:
             close_session(session)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with running("sim_backend", "serve", "--world", WORLD, "--mode", "lockstep", "--listen", endpoint):
+    with running(MODULE, "sim", "serve", "--world", WORLD, "--mode", "lockstep", "--listen", endpoint):
         session = open_session(connect=[endpoint])
         try:
             selector = keys.ADVANCE.format(world=WORLD) + "?ticks=1"

@@ -17,7 +17,7 @@ from training.learning import ppo
 from training.learning.experiment import Experiment, load
 from training.learning.learn import learn
 from training.learning.rollout import Collector
-from training.learning.run import Run
+from training.learning.run import TrainingRun
 
 EXPERIMENT = "vftm-dsl"
 
@@ -120,6 +120,6 @@ def _shortened(experiment: Experiment, workers: int, rollouts: int, cells: int |
 def _train(experiment: Experiment) -> list[dict[str, Any]]:
     """Train, and return the records of its progress."""
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
-        run = Run(experiment, 0, Path(folder))
+        run = TrainingRun(experiment, 0, Path(folder))
         learn(run)
         return run.records()

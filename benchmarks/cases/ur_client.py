@@ -11,6 +11,7 @@ from benchmarks.harness.result import Result, UnavailableError, median
 from benchmarks.stands.shipped_cell import ShippedCell
 from benchmarks.stands.ur_cell import HOST, controller_options, shipped_ur_cell
 from service.drivers.ur.samples import OUTPUTS
+from service.program import MODULE
 
 READERS = {
     "client_asyncio": "this client, asyncio: packages decoded",
@@ -36,7 +37,7 @@ def measure(scale: float) -> Result:
         raise UnavailableError("ur_rtde is not installed; it comes with the development dependencies")
     count, span_s = max(1, int(5 * scale)), max(2.0, 5.0 * min(scale, 1.0))
     rounds = {reader: _Rounds() for reader in READERS}
-    with shipped_ur_cell() as shipped, running("sim_backend", *controller_options(shipped)):
+    with shipped_ur_cell() as shipped, running(MODULE, "sim", *controller_options(shipped)):
         for reader in [*READERS] * count:
             share, seen = _read(shipped, reader, span_s)
             rounds[reader].share.append(share)

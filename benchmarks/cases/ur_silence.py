@@ -20,6 +20,7 @@ from benchmarks.stands.ur_cell import controller_options, plan_first, shipped_ur
 from service.cell.plan import Plan
 from service.client import CellClient
 from service.config import CellConfig
+from service.program import MODULE
 from service.safety.stop import STANDSTILL_M_S
 from wire.records import TICK_S
 from wire.task import Task
@@ -128,7 +129,7 @@ def _kills(shipped: ShippedCell, count: int) -> list[Silence]:
     controller = "benchmarks.stands.recorded_controller", str(output), *controller_options(shipped)
     with running(*controller, lines=lines) as recorded:
         for seed in range(count):
-            with running("service", "run", ready="serving", environment=shipped.environment) as service:
+            with running(MODULE, "control", ready="serving", environment=shipped.environment) as service:
                 heard = len(lines)
                 asyncio.run(_start(shipped, seed))
                 if not _is_pressing(lines, heard):

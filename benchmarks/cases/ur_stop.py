@@ -11,6 +11,7 @@ from benchmarks.harness.result import QUANTILES, Result, median, quantiles
 from benchmarks.stands.tripping_world import FORCE_N
 from benchmarks.stands.ur_cell import HOST, controller_options, shipped_ur_cell
 from service.drivers.ur.samples import OUTPUTS
+from service.program import MODULE
 from wire.rtde import fields
 from wire.rtde.codec import HEADER_SIZE, Recipe
 from wire.rtde.messages import PORT
@@ -45,7 +46,7 @@ def _stops(arguments: tuple[str, ...], count: int) -> list[float]:
         output = str(shipped.config.cell.state_dir / "lateness.npy")
         service = "benchmarks.stands.watched_service", output, *arguments
         with (
-            running("sim_backend", *controller_options(shipped)),
+            running(MODULE, "sim", *controller_options(shipped)),
             running("benchmarks.stands.lying_relay", HOST, str(relay), str(PORT), trips),
             running(*service, ready="serving", environment=shipped.environment),
         ):

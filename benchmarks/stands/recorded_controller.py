@@ -1,6 +1,6 @@
 """The emulated controller's command with one addition: it records the motion and the forces of its arm.
 
-Run `python -m benchmarks.stands.recorded_controller OUTPUT OPTION…` with the options of `python -m sim_backend
+Run `python -m benchmarks.stands.recorded_controller OUTPUT OPTION…` with the options of `dsl-assembly sim
 ur-controller`. It prints `contact` whenever the peg begins to press, and writes one row per tick to OUTPUT (`.npy`) at
 the end: monotonic time in s, inputs received, program running, speed of the TCP in m/s, true force on the peg in N.
 """
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.stands.pressed_arm import ContactForce
-from sim_backend import __main__ as command
+from sim_backend import commands as command
 from sim_backend.ur_controller.builtins import standard_builtins
 from sim_backend.ur_controller.controller import Controller
 from wire.rtde.modes import RuntimeState

@@ -50,8 +50,10 @@ def shipped_cell(file: Path | None = None, **overrides: str) -> Generator[Shippe
             **overrides,
         }
         variables = {f"DSL_ASSEMBLY__{name.upper()}": value for name, value in fields.items()}
-        if file is not None:
-            variables[configuration.PATH_VARIABLE] = str(file)
+        try:
+            variables[configuration.PATH_VARIABLE] = str(configuration.find(file))
+        except ConfigError as error:
+            raise UnavailableError(str(error)) from error
         before = {name: os.environ.get(name) for name in variables}
         os.environ.update(variables)
         try:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness.stopwatch import timed
-from sim_backend import __main__ as command
+from sim_backend import commands as command
 from sim_backend.metronome import Metronome
 from sim_backend.ur_controller import server
 from sim_backend.ur_controller.controller import Controller

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from service import __main__ as command
 from service.cell import process
 from service.cell.cell import Cell
+from service.commands.control import control
 from service.drivers.base import Sample
 
 
@@ -27,7 +27,7 @@ def main(output: Path, *, ordinary: bool) -> None:
     if ordinary:
         process.request_realtime = lambda: ("real-time scheduling was not asked for",)
     try:
-        command.run(None)
+        control(None)
     finally:
         np.save(output, np.array(late_s))
 

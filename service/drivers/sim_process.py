@@ -1,62 +1,98 @@
-"""Starts the simulator as a process of its own where nothing listens at its endpoint, and ends what was started."""
+"""Starts the simulator as a process of its own if nothing listens at its endpoint, and ends what it started."""
 
+import asyncio
 import subprocess
-import sys
 import time
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from socket import create_connection
+
+import structlog
+
+from service.program import Child
 
 START_S = 30.0
 END_S = 1.0
 POLL_S = 0.05
+WATCH_S = 0.5
+
+_log = structlog.get_logger("service.simulator")
+
+
+class Simulator:
+    """The simulator that a driver talks to.
+
+    Args:
+        child: the process that was started for it; None if it was already running or belongs to others.
+        endpoints: every `tcp/host:port` at which a started simulator must listen.
+    """
+
+    def __init__(self, child: Child | None = None, endpoints: Sequence[str] = ()) -> None:
+        self.child = child
+        self._endpoints = tuple(endpoints)
+
+    def await_listening(self) -> None:
+        """Wait until a started simulator listens.
+
+        Raises:
+            OSError: the simulator ended at once or does not listen in time; the text says why.
+        """
+        if self.child is None:
+            return
+        deadline = time.monotonic() + START_S
+        for endpoint in self._endpoints:
+            while not _listens(endpoint):
+                if (ending := self.child.ending()) is not None:
+                    raise OSError(ending)
+                if time.monotonic() > deadline:
+                    raise OSError(
+                        f"the simulator does not listen at {endpoint} after {START_S:g} s; its log is {self.child.log}"
+                    )
+                time.sleep(POLL_S)
+
+    async def watch(self) -> None:
+        """Wait until a started simulator ends by itself, log it and return. Runs until then or until cancelled."""
+        if self.child is None:
+            return
+        while (ending := self.child.ending()) is None:
+            await asyncio.sleep(WATCH_S)
+        _log.error("process ended", why=ending)
 
 
 @contextmanager
-def simulator(arguments: Sequence[str], endpoints: Sequence[str]) -> Generator[bool]:
-    """Have a simulator while the context lasts.
+def simulator(arguments: Sequence[str], endpoints: Sequence[str], log: Path) -> Generator[Simulator]:
+    """Keep a simulator running while the context lasts. A simulator that is already running is joined and left running.
+
+    A started simulator does not outlive this process, however this process ends.
 
     Args:
-        arguments: of `python -m sim_backend`: `CellConfig.simulator_arguments`.
-        endpoints: `tcp/host:port` of all that it must listen at; the first one tells whether it is there already.
+        arguments: arguments of this project's program, from `CellConfig.simulator_arguments`.
+        endpoints: every `tcp/host:port` at which it must listen. The first tells whether it is already running.
+        log: file for the output of a started simulator.
 
     Yields:
-        Whether it was started here; one that was there before is joined and left running.
+        The simulator. Call `await_listening` before using it.
 
     Raises:
-        OSError: it ended at once, or does not listen in time.
+        OSError: the simulator cannot be started.
     """
     if _listens(endpoints[0]):
-        yield False
+        yield Simulator()
         return
-    # Its own session: Ctrl-C reaches the control process alone, which stops the arm before it ends the world.
-    process = subprocess.Popen(
-        [sys.executable, "-m", "sim_backend", *arguments],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    # A session of its own: Ctrl-C reaches the control process alone, which stops the arm before it ends the world.
+    child = Child.start("simulator", tuple(arguments), log, dies_with_parent=True)
+    _log.info("started", name=child.name, pid=child.process.pid, log=str(log))
     try:
-        for endpoint in endpoints:
-            _await_listening(process, endpoint)
-        yield True
+        yield Simulator(child, endpoints)
     finally:
-        process.terminate()
+        child.process.terminate()
         try:
-            process.wait(END_S)
+            child.process.wait(END_S)
         except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-
-
-def _await_listening(process: subprocess.Popen[bytes], endpoint: str) -> None:
-    deadline = time.monotonic() + START_S
-    while not _listens(endpoint):
-        if process.poll() is not None:
-            raise OSError(f"the simulator ended with status {process.returncode}; its reason stands above")
-        if time.monotonic() > deadline:
-            raise OSError(f"the simulator does not listen at {endpoint} after {START_S:g} s")
-        time.sleep(POLL_S)
+            child.process.kill()
+            child.process.wait()
+        _log.info("ended", name=child.name, pid=child.process.pid, status=child.process.returncode)
 
 
 def _listens(endpoint: str) -> bool:

@@ -13,6 +13,7 @@ from service.drivers.base import DriverError, PoseTarget, Sample, SampleSink
 from service.drivers.handover import Handover
 from service.drivers.sim_wire import CommandWriter, check_task, read_sample
 from service.faults import FaultCode
+from service.program import PROGRAM
 from wire import keys
 from wire import records as wire
 from wire.law import ComplianceLaw, ControlLimits
@@ -243,5 +244,5 @@ class ZenohSimDriver:
         except QueryRefusedError as error:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name} refused: {error}") from error
         if not replies:
-            raise DriverError(FaultCode.LINK, f"{self.name} does not answer: is `python -m sim_backend` running?")
+            raise DriverError(FaultCode.LINK, f"{self.name} does not answer: is `{PROGRAM} sim serve` running?")
         return replies

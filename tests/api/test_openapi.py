@@ -9,7 +9,7 @@ from api.problems import STATUS_OF_REASON
 from service.messages import RefusalReason
 
 SNAPSHOT = Path(__file__).with_name("openapi.json")
-UPDATE = f"python -m api.openapi > {SNAPSHOT.relative_to(Path(__file__).parents[2])}"
+UPDATE = f"dsl-assembly openapi > {SNAPSHOT.relative_to(Path(__file__).parents[2])}"
 
 
 @pytest.fixture(scope="module")

@@ -70,7 +70,7 @@ async def test_a_control_process_that_is_there_is_joined_and_left_running(tmp_pa
         async with serving(path) as api:
             await api.wait_for_state(CellState.READY)
             await asyncio.sleep(1.2)  # past the time that it waits before it would start one
-            assert not api.runtime.processes.started
+            assert api.runtime.control_process.child is None
         before = cell.seq
         await asyncio.sleep(0.2)
         assert cell.seq > before

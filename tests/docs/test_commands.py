@@ -73,8 +73,6 @@ def test_the_experiment_of_the_reference_is_one(tmp_path: Path) -> None:
 def test_the_command_has_what_documents_show(words: list[str]) -> None:
     scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
     module, _, attribute = scripts["dsl-assembly"].partition(":")
-    if module.startswith("training"):
-        pytest.skip("the one command is not here yet")
     command: Any = typer.main.get_command(getattr(importlib.import_module(module), attribute))
     left = [word for word in words[1:] if not word.isupper()]
     while hasattr(command, "resolve_command") and left and not left[0].startswith("-"):

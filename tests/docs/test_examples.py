@@ -10,7 +10,7 @@ from sybil.parsers.markdown import PythonCodeBlockParser, SkipParser
 from sybil.parsers.rest import DocTestParser
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("wire", "service", "sim_backend", "api", "training", "benchmarks")
+PACKAGES = ("wire", "service", "sim_backend", "api", "training", "benchmarks", "cli")
 DOCUMENTS = [
     path for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))] if "```python" in path.read_text()
 ]

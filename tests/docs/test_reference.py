@@ -10,7 +10,8 @@ PAGES = ROOT / "docs/reference/python"
 LISTED = {name for page in PAGES.glob("*.md") for name in re.findall(r"^::: (\S+)$", page.read_text(), re.MULTILINE)}
 GENERATED = {"results.md", "models.md"}
 WRITTEN = [path for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))] if path.name not in GENERATED]
-FILE = re.compile(r"`((?:wire|service|sim_backend|api|training|benchmarks|config|tests|models|docs)/[a-z0-9_./-]*)`")
+FOLDERS = "api|benchmarks|cli|config|docs|models|service|sim_backend|tests|training|wire"
+FILE = re.compile(rf"`((?:{FOLDERS})/[a-z0-9_./-]*)`")
 INTERNAL = {"service.policy.onnx_file", "service.policy.window"}
 
 

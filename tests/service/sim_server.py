@@ -2,9 +2,10 @@
 
 import socket
 import subprocess
-import sys
 from collections.abc import Generator
 from contextlib import contextmanager
+
+from service.program import command
 
 
 def free_endpoint() -> str:
@@ -17,7 +18,7 @@ def free_endpoint() -> str:
 def sim_process(endpoint: str, mode: str = "real-time", world: str = "world-1") -> Generator[subprocess.Popen[str]]:
     process = subprocess.Popen(
         [
-            *(sys.executable, "-m", "sim_backend", "serve"),
+            *command("sim", "serve"),
             *("--world", world, "--mode", mode, "--listen", endpoint),
         ],
         stdout=subprocess.PIPE,

@@ -3,7 +3,7 @@ from typing import get_args
 
 import pytest
 
-from service.config import CellConfig, ConfigError, RecipeSection, load
+from service.config import PATH_VARIABLE, CellConfig, ConfigError, RecipeSection, find, load
 from wire.limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 from wire.task import Conditions
 
@@ -23,6 +23,24 @@ def test_the_shipped_configuration_is_whole_and_its_paths_are_relative_to_the_fi
     assert config.cell.state_dir.is_absolute()
     assert all(recipe.policy.is_absolute() for recipe in config.recipes.values())
     assert config.limits.force_ceiling_n == 30.0
+
+
+def test_the_file_is_the_named_one_else_that_of_the_environment_else_that_of_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(PATH_VARIABLE, raising=False)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match="dsl-assembly config new FOLDER"):
+        find()
+    (tmp_path / "config").mkdir()
+    for name in ("config/cell.toml", "cell.toml"):
+        (tmp_path / name).touch()
+        assert find() == tmp_path / name
+    monkeypatch.setenv(PATH_VARIABLE, "other.toml")
+    assert find() == tmp_path / "other.toml", "named and missing: that is an error, and no reason to take another"
+    with pytest.raises(ConfigError, match=r"no configuration at .*other\.toml"):
+        load()
+    assert find(Path("third.toml")) == tmp_path / "third.toml"
 
 
 @pytest.mark.parametrize("value", ["50.001", "0.0", "-1.0", "nan", "inf", "-inf", '"much"'])

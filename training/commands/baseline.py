@@ -1,4 +1,4 @@
-"""`baseline`: write the policies that nobody trained, which learned ones are compared with."""
+"""`baseline`: write policies that nobody trained, to compare learned ones with."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -12,7 +12,7 @@ from training.commands.refusal import refuse_without_extra
 
 
 class Baseline(StrEnum):
-    """What can be written."""
+    """Policies that can be written."""
 
     SEARCH = "search"
     SEARCH_FTM = "search-ftm"
@@ -20,7 +20,10 @@ class Baseline(StrEnum):
 
 
 def baseline(
-    which: Annotated[Baseline, typer.Argument(help="Scripted search about the estimate or the nominal centre; still.")],
+    which: Annotated[
+        Baseline,
+        typer.Argument(help="Search about the camera's estimate, search about the nominal centre, or no motion."),
+    ],
     out: Annotated[Path, typer.Argument(help="ONNX file to write.")],
 ) -> None:
     """Write a scripted policy: spiral and yaw sweep, or one that asks for nothing."""

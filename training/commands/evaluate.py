@@ -1,4 +1,4 @@
-"""`evaluate`: measure a policy, episode by episode, and keep what was measured in `results/NAME.json`."""
+"""`evaluate`: measure a policy episode by episode, and keep the episodes in `results/NAME.json`."""
 
 import os
 import time
@@ -21,9 +21,9 @@ from training.evaluation.results import (
     RESULTS,
     Block,
     EpisodeResult,
+    MeasuringSession,
     Results,
     ResultsError,
-    Session,
     Setting,
     Through,
     exclusive,
@@ -38,34 +38,44 @@ _REMEDY = "choose another --name or folder, or drop them (evaluate: --anew)"
 
 def evaluate(
     model: Annotated[Path, typer.Argument(help="ONNX file of the policy.")],
-    plan: Annotated[list[paper.Plan] | None, typer.Option(help="Cells of a table; may be repeated.")] = None,
-    clearance: Annotated[list[float] | None, typer.Option(help="Per face, mm; may be repeated.")] = None,
-    part: Annotated[Part | None, typer.Option(help="With --clearance; default: the policy's first.")] = None,
-    conditions: Annotated[
-        Conditions | None, typer.Option(help="Of an episode; default: the plan's, `search` for FTM, else `standard`.")
+    plan: Annotated[list[paper.TablePlan] | None, typer.Option(help="Cells of a table; may be repeated.")] = None,
+    clearance: Annotated[list[float] | None, typer.Option(help="Clearance per face, mm; may be repeated.")] = None,
+    part: Annotated[
+        Part | None, typer.Option(help="Part to insert with --clearance; default: the policy's first.")
     ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Per cell; those that are there already are kept.")] = 500,
+    conditions: Annotated[
+        Conditions | None,
+        typer.Option(help="Conditions of an episode; default: the plan's, `search` for FTM, else `standard`."),
+    ] = None,
+    episodes: Annotated[
+        int, typer.Option(min=1, help="Episodes per cell of the table; those already there are kept.")
+    ] = 500,
     through: Annotated[
-        Through, typer.Option(help="The batched environment, or the deployed service with a simulated or a UR arm.")
+        Through,
+        typer.Option(help="Player: the batched environment, or the deployed service with the simulated or a UR arm."),
     ] = "environment",
     lock: Annotated[str, typer.Option(help="Run under another lock than the policy's: paper, sliding or off.")] = "",
-    reward: Annotated[RewardName, typer.Option(help="That returns are sums of.")] = "paper",
+    reward: Annotated[RewardName, typer.Option(help="Reward that the returns sum up.")] = "paper",
     force_ceiling: Annotated[
-        float, typer.Option(min=1.0, max=FORCE_HARD_MAXIMUM_N, help="N; an episode ends there.")
+        float, typer.Option(min=1.0, max=FORCE_HARD_MAXIMUM_N, help="Force that ends an episode, N.")
     ] = CEILING_N,
-    first_seed: Annotated[int, typer.Option(min=0, help="Seeds count up from here.")] = evaluation.FIRST_TEST_SEED,
-    workers: Annotated[int, typer.Option(min=0, help="Played at once; 0: one per core, through RTDE one.")] = 0,
-    name: Annotated[str, typer.Option(help="Of the results; default: the file's.")] = "",
+    first_seed: Annotated[
+        int, typer.Option(min=0, help="First seed; the others count up from it.")
+    ] = evaluation.FIRST_TEST_SEED,
+    workers: Annotated[
+        int, typer.Option(min=0, help="Episodes played at once; 0: one per core, through RTDE one.")
+    ] = 0,
+    name: Annotated[str, typer.Option(help="Name of the results; default: the file's.")] = "",
     results: Annotated[Path, typer.Option(help="Folder of the results.")] = RESULTS,
     anew: Annotated[
         bool,
-        typer.Option("--anew", help="Drop what is there of another file or of other sources."),
+        typer.Option("--anew", help="Drop results of another file or of other sources."),
     ] = False,
     record: Annotated[bool, typer.Option("--record", help="Write the figures into the model's contract.")] = False,
 ) -> None:
     """Play fresh seeds with the deterministic policy; print successes, steps and peak forces.
 
-    Every episode is kept as it ends: the same command again plays only what is missing.
+    Every episode is kept as it ends. The same command again plays only the missing ones.
     """
     workers = workers or (1 if through == "rtde" else len(os.sched_getaffinity(0)))
     if lock and through != "environment":
@@ -114,23 +124,23 @@ def measure(
     *,
     anew: bool = False,
 ) -> Results:
-    """Play what is missing of the first `episodes` episodes of each setting, with a bar on the terminal.
+    """Play the missing ones of the first `episodes` episodes of each setting, with a bar on the terminal.
 
     Args:
         model: file of the policy.
-        policy: loaded from it.
-        settings: to measure.
-        path: of the results, which keep every episode as it ends; hold `exclusive` of it.
-        episodes: per setting.
-        workers: played at once.
-        anew: drop what the file holds of another policy, or from other sources.
+        policy: the policy in that file.
+        settings: settings to measure.
+        path: file of the results, which keeps every episode as it ends; the caller holds `exclusive` of it.
+        episodes: number of episodes per setting.
+        workers: number of players at once.
+        anew: drop episodes in the file that are of another policy or of other sources.
 
     Returns:
-        All that the file holds then.
+        Everything that the file holds afterwards.
 
     Raises:
-        ResultsError: the file holds another policy's results, or what other sources gave.
-        ServiceError: the service, or what it needs, failed.
+        ResultsError: the file holds results of another policy or of other sources.
+        ServiceError: the service or the simulator failed.
     """
     by_service = any(setting.through != "environment" for setting in settings)
     known = _known(policy, path, provenance.deployed_sources() if by_service else None, anew=anew)
@@ -146,7 +156,7 @@ def measure(
 
 
 class _Keeper:
-    """Takes episodes as they end and keeps them in the file at once."""
+    """Keeper of episodes: writes each to the file as it ends."""
 
     def __init__(self, results: Results, path: Path, workers: int) -> None:
         self.results = results
@@ -162,7 +172,7 @@ class _Keeper:
         block = self.results.block(setting)
         earlier = self._before.block(setting).sessions
         mine = block.sessions[len(earlier) :]
-        session = Session(
+        session = MeasuringSession(
             ended=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
             commit=self.commit,
             machine=provenance.machine(),
@@ -180,13 +190,13 @@ class _Keeper:
 
 def _settings(
     policy: Policy,
-    plans: Sequence[paper.Plan],
+    plans: Sequence[paper.TablePlan],
     clearances: Sequence[float],
     part: Part | None,
     conditions: Conditions | None,
     **rest: Any,
 ) -> list[Setting]:
-    """What to measure, each once. Raises ValueError for what no world can be built from."""
+    """Return the settings to measure, each once; raise ValueError for one that no world can be built from."""
     contract = policy.contract
     own = cast(Part, contract.parts[0])
     cells: list[tuple[Part, float, Conditions]] = []
@@ -208,7 +218,7 @@ def _settings(
 
 
 def _check_recordable(policy: Policy, settings: Sequence[Setting]) -> None:
-    """Raise ValueError for what a contract, whose figures name clearance and conditions alone, would misstate."""
+    """Raise ValueError for settings beyond clearance and conditions, which a contract's figures cannot name."""
     usual = {
         "part": policy.contract.parts[0],
         "lock": policy.contract.dsl.mode,
@@ -224,7 +234,7 @@ def _check_recordable(policy: Policy, settings: Sequence[Setting]) -> None:
 
 
 def _known(policy: Policy, path: Path, deployed: str | None, *, anew: bool) -> Results:
-    """What the file holds of this policy, or nothing yet; `deployed`: of which sources a service is to add to it."""
+    """Return the policy's results in the file, or empty ones; `deployed` is the digest of a service about to add."""
     contract = policy.contract
     fresh = Results(
         policy=contract.name,
@@ -283,7 +293,7 @@ def _play(model: Path, policy: Policy, blocks: Sequence[Block], episodes: int, w
 
 
 def _record(model: Path, results: Results, path: Path, blocks: Sequence[Block]) -> None:
-    """Write figures into the model's contract; its file is another one then, and the results go with it."""
+    """Write figures into the model's contract, and the new digest of its file into the results."""
     try:
         from training.learning.export import record_evaluation
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""`export`: from a training to the file that a cell loads."""
+"""`export`: write the policy file of a training."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,12 +10,14 @@ from training.learning.experiment import ExperimentError, load
 
 
 def export(
-    model: Annotated[str, typer.Argument(help="Name of a trained experiment, or weights that end in .pt.")],
+    model: Annotated[str, typer.Argument(help="Name of a trained experiment, or a file of weights that ends in .pt.")],
     out: Annotated[Path, typer.Argument(help="ONNX file to write.")],
-    seed: Annotated[int, typer.Option(min=0, help="Of the training.")] = 0,
-    last: Annotated[bool, typer.Option("--last", help="The latest weights, not those that did best.")] = False,
-    experiment: Annotated[str, typer.Option(help="Whose contract weights have that bring none with them.")] = "",
-    name: Annotated[str, typer.Option(help="Of the policy; default: the experiment's.")] = "",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the training.")] = 0,
+    last: Annotated[bool, typer.Option("--last", help="Take the latest weights, not the best ones.")] = False,
+    experiment: Annotated[
+        str, typer.Option(help="Experiment whose contract to take where the weights name none.")
+    ] = "",
+    name: Annotated[str, typer.Option(help="Name of the policy; default: the experiment's.")] = "",
 ) -> None:
     """Write a trained policy: network, normalisation and contract in one file."""
     try:

@@ -1,4 +1,4 @@
-"""`gallery`: draw a policy's insertion of every part that it is for."""
+"""`gallery`: draw a policy's insertions, one per part."""
 
 from pathlib import Path
 from typing import Annotated, cast
@@ -18,12 +18,14 @@ GALLERY = Path("docs/gallery")
 
 def gallery(
     model: Annotated[Path, typer.Argument(help="ONNX file of the policy.")],
-    part: Annotated[list[str] | None, typer.Option(help="May be repeated; default: all that it is for.")] = None,
-    clearance: Annotated[float, typer.Option(help="Per face, mm.")] = 1.33,
-    conditions: Annotated[
-        Conditions | None, typer.Option(help="Of an episode; default: `search` for FTM, else `standard`.")
+    part: Annotated[
+        list[str] | None, typer.Option(help="Part to draw; may be repeated. Default: all parts of the policy.")
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, max=500, help="Test episodes that it is taken from.")] = 20,
+    clearance: Annotated[float, typer.Option(help="Clearance per face, mm.")] = 1.33,
+    conditions: Annotated[
+        Conditions | None, typer.Option(help="Conditions of an episode; default: `search` for FTM, else `standard`.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, max=500, help="Number of test episodes to choose from.")] = 20,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = GALLERY,
 ) -> None:
     """Draw each part's insertion of median length: PART.gif, PART.png, and a page that shows them all."""

@@ -1,4 +1,4 @@
-"""How a command says that it cannot do what it was asked."""
+"""Refusals: a command ends with a message and a status other than zero."""
 
 from typing import NoReturn
 
@@ -8,11 +8,11 @@ EXIT_USAGE = 2
 
 
 def refuse(command: str, text: str, code: int = EXIT_USAGE) -> NoReturn:
-    """End the command with a status other than zero; `text` says what is wrong and what to do."""
+    """End the command with a status other than zero and the reason and remedy in `text`."""
     typer.echo(f"{command}: {text}", err=True)
     raise typer.Exit(code)
 
 
 def refuse_without_extra(command: str, error: ImportError) -> NoReturn:
-    """The same where what only training needs is not installed."""
+    """End the command because the extra `training` is not installed."""
     refuse(command, f"it needs the extra `training` ({error}): make setup-training")

@@ -1,4 +1,4 @@
-"""`report`: what was measured, beside the paper, as one HTML page and as Markdown; and a card for every model."""
+"""`report`: write the results beside the paper as HTML and Markdown, and a card for every model."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,17 +12,17 @@ from training.evaluation.results import RESULTS, ResultsError
 
 def report(
     results: Annotated[Path, typer.Option(help="Folder of the results.")] = RESULTS,
-    runs: Annotated[Path, typer.Option(help="Folder of trainings, whose learning curves are kept beside them.")] = Path(
-        "var/training"
-    ),
+    runs: Annotated[
+        Path, typer.Option(help="Folder of trainings; their learning curves are kept beside the results.")
+    ] = Path("var/training"),
     out: Annotated[
         Path, typer.Option(help="Folder for results.html, results.md, models.md and pictures/results/.")
     ] = Path("docs"),
-    models: Annotated[Path, typer.Option(help="Folder of the policies; without any there is no models.md.")] = Path(
-        "models"
-    ),
+    models: Annotated[
+        Path, typer.Option(help="Folder of the policies; without policies no models.md is written.")
+    ] = Path("models"),
 ) -> None:
-    """Write the report of everything in the folder of results, and the models' cards; nothing is run."""
+    """Write the report of all results and the models' cards, without playing anything."""
     try:
         from training.report import cards, curves, writing
         from training.report.measured import Measured

@@ -1,4 +1,4 @@
-"""`reproduce`: measure every shipped policy as the report needs it, and say how that compares with earlier results."""
+"""`reproduce`: measure every shipped policy for the report, and compare with earlier results."""
 
 import os
 from collections.abc import Iterator
@@ -20,15 +20,15 @@ EXIT_DIFFERENT = 1
 
 def reproduce(
     models: Annotated[Path, typer.Option(help="Folder of the policies.")] = Path("models"),
-    results: Annotated[Path, typer.Option(help="Folder that the results go to.")] = Path("var/reproduced"),
+    results: Annotated[Path, typer.Option(help="Folder to write the results to.")] = Path("var/reproduced"),
     against: Annotated[Path, typer.Option(help="Folder of the results to compare with.")] = RESULTS,
-    episodes: Annotated[int, typer.Option(min=1, help="Per cell.")] = 500,
-    workers: Annotated[int, typer.Option(min=0, help="Processes; 0: one per core.")] = 0,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes per cell of the tables.")] = 500,
+    workers: Annotated[int, typer.Option(min=0, help="Number of processes; 0: one per core.")] = 0,
 ) -> None:
     """Play all of the report's episodes again in the batched environment, and write the report of them.
 
-    What was played is kept: the same command again goes on. The report's learning curves are the earlier ones. Fails if
-    a success rate lies outside the 95 % interval of the one that it is compared with, which is that of the same seeds.
+    Episodes are kept: the same command again goes on. The report's learning curves are the earlier ones. The command
+    fails if a success rate lies outside the 95 % interval of the earlier rate on the same seeds.
     """
     try:
         from training.report import curves, writing
@@ -64,7 +64,7 @@ def reproduce(
 
 
 def settings_of(name: str, policy: Policy) -> list[Setting]:
-    """Everything that the report says of a policy, each once."""
+    """Return all settings that the report shows of a policy, each once."""
     contract = policy.contract
     settings = [
         Setting(
@@ -80,7 +80,7 @@ def settings_of(name: str, policy: Policy) -> list[Setting]:
 
 
 def compared(found: Results, earlier: Results | None, settings: list[Setting]) -> Iterator[str]:
-    """One line per setting: what was found, and whether it lies within the interval of the same seeds' earlier rate."""
+    """Yield one line per setting: the rate, and whether it lies within the interval of the earlier rate."""
     if earlier is not None and earlier.sha256 != found.sha256:
         yield f"DIFFERENT  {found.policy}: the earlier results are of another file of that name"
     if earlier is not None and earlier.sources != found.sources:

@@ -1,4 +1,4 @@
-"""`train`: train an experiment, or go on with it."""
+"""`train`: train an experiment or go on with it."""
 
 import math
 import signal
@@ -17,27 +17,27 @@ EXIT_INTERRUPTED = 130
 
 def train(
     experiment: Annotated[
-        str, typer.Argument(help="Name of one in training/experiments, or a file that ends in .toml.")
+        str, typer.Argument(help="Name of an experiment in training/experiments, or a file that ends in .toml.")
     ],
     seed: Annotated[
         list[int] | None,
-        typer.Option(min=0, help="Of the training; may be repeated. Default: those of the experiment."),
+        typer.Option(min=0, help="Seed of the training; may be repeated. Default: those of the experiment."),
     ] = None,
     start_from: Annotated[
-        Path | None, typer.Option(help="Weights to begin with (a .pt), in place of what the experiment says.")
+        Path | None, typer.Option(help="Weights to begin with (a .pt file) instead of those that the experiment names.")
     ] = None,
     minutes: Annotated[
-        float, typer.Option(help="End after so long, all seeds together; the same command goes on.")
+        float, typer.Option(help="Time limit for all seeds together; the same command goes on afterwards.")
     ] = math.inf,
 ) -> None:
     """Train an experiment, once for each seed, into var/training/EXPERIMENT/seed-N.
 
-    The same command again goes on where the last one ended, however that was.
+    The same command again goes on where the last one ended.
     """
     try:
         from training.learning.learn import TrainingError, learn
         from training.learning.parallel import WorkerError
-        from training.learning.run import CheckpointError, Run
+        from training.learning.run import CheckpointError, TrainingRun
     except ImportError as error:
         refuse_without_extra("train", error)
     signal.signal(signal.SIGTERM, _interrupt)
@@ -49,7 +49,7 @@ def train(
             if number and time.monotonic() >= deadline:
                 typer.echo(f"out of time; the same command goes on with seed {', '.join(map(str, seeds[number:]))}")
                 break
-            run = Run(asked, one)
+            run = TrainingRun(asked, one)
             try:
                 learn(run, start_from, deadline - time.monotonic())
             except KeyboardInterrupt:

@@ -12,7 +12,7 @@ FIRST_TRAINING_SEED = 2**32
 
 @dataclass(frozen=True, slots=True)
 class TaskSource:
-    """Draws training tasks.
+    """Source of training tasks.
 
     Attributes:
         part: peg and hole.

@@ -1,4 +1,4 @@
-"""Rewards of an insertion step, any batch shape. Lengths m, angles rad, forces N.
+"""Rewards of an insertion step, for any batch shape. Lengths in m, angles in rad, forces in N.
 
 `paper` is equations 1 and 2 of the paper. `potential` is the reward of the shipped models. It rewards the change of a
 potential, so that no state pays by itself and hovering half inserted earns nothing.
@@ -27,7 +27,7 @@ STEP_COST = 0.01
 SUCCESS_BONUS = 10.0
 FAULT_COST = 2.0
 FORCE_FREE_N = 12.0
-"""Peak force that costs nothing, N. A regular press of 9 N reads up to this much with the sensor's noise."""
+"""Peak force that costs nothing, N. The lock's regular press of 9 N reads up to this much with the sensor's noise."""
 FORCE_COST_PER_N = 0.2
 
 

@@ -1,4 +1,4 @@
-"""Cells that play one episode after another, with a privileged view for the critic."""
+"""Cells that play one episode after another, with privileged features for the critic."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from training.environment.episodes import TaskSource
 from training.environment.insertion import PRIVILEGED_SIZE, Insertions
 from wire.arrays import Float32Array
 
-Job = Callable[[], Any]
+WorkerJob = Callable[[], Any]
 """Work to do beside the training. The job and its result must be picklable."""
 
 
@@ -35,7 +35,7 @@ class Ended:
 
     @classmethod
     def joined(cls, parts: "list[Ended]") -> "Ended":
-        """Return all episodes of `parts`, which must not be empty."""
+        """Join the episodes of `parts`, which must not be empty."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__))
 
     def latest(self, count: int) -> "Ended":
@@ -87,7 +87,7 @@ class EndlessCells(Protocol):
         """Run one policy step of every cell; `action` (n, action_size) in [-1, 1]."""
         ...
 
-    def run(self, jobs: Sequence[Job]) -> list[Any]:
+    def run(self, jobs: Sequence[WorkerJob]) -> list[Any]:
         """Run `jobs` in the processes of the cells, which stand still meanwhile; return the results in order."""
         ...
 
@@ -137,7 +137,7 @@ class EndlessInsertions:
             self._cells.reset(over, self._tasks.draw(self._rng, over.size))
         return Step(self._features(), outcome.reward.astype(np.float32), done, ended)
 
-    def run(self, jobs: Sequence[Job]) -> list[Any]:
+    def run(self, jobs: Sequence[WorkerJob]) -> list[Any]:
         return [job() for job in jobs]
 
     def close(self) -> None:

@@ -1,8 +1,8 @@
-"""What learned policies are compared with: a scripted compliant search, and a policy that asks for nothing.
+"""Baselines for learned policies: a scripted compliant search, and a policy that asks for nothing.
 
-Both are ONNX files with a contract, like any policy, and run in the same service. The search is the classical one: a
-spiral about where the hole is thought to be, the yaw swept to and fro over all that it may be, pressing lightly; when
-the tip has dropped, sideways motion and sweep end and the compliance lets the peg in.
+Both are ONNX files with a contract, like any policy, and run in the same service. The search is the classical one. It
+spirals about the estimated hole, sweeps the yaw over its possible range and presses lightly. When the tip has dropped,
+sideways motion and sweep end, and the compliance lets the peg in.
 """
 
 import math
@@ -23,7 +23,7 @@ from wire.task import Part
 
 OPSET = 17
 CLEARANCE_M = (0.05e-3, 6e-3)
-"""A script is for every clearance that a world can have."""
+"""Admitted clearances: every one that a world can have."""
 
 _LIMITS = {entry.name: entry.limit for entry in design.contract_for().action}
 _SEEN = ("time_fraction", "hole_offset_xy", "height", "contact_height_known", "yaw")
@@ -34,13 +34,14 @@ class Search:
     """Numbers of the scripted search; a step is a policy step of 0.1 s.
 
     Attributes:
-        begin: step at which spiral and sweep begin, about that of the first contact.
-        radius_m: of the spiral's end. Radius and angle grow with the root of time: an even speed along an even pitch.
-        turns: of the spiral, from `begin` to the last step.
-        sweep_rad: turned per step.
-        sweep_half_range_rad: the sweep turns back here, on either side of the start yaw.
-        press_m: asked for below the measured height, besides what the lock asks for while it seeks.
-        dropped_m: how far below the first contact the tip has dropped into the hole.
+        begin: step at which spiral and sweep begin, near the first contact.
+        radius_m: radius at the spiral's end. Radius and angle grow with the root of time, which keeps speed and pitch
+            constant.
+        turns: turns of the spiral from `begin` to the last step.
+        sweep_rad: turn per step.
+        sweep_half_range_rad: largest turn on either side of the start yaw.
+        press_m: command below the measured height, in addition to the lock's while it seeks.
+        dropped_m: depth below the first contact at which the tip has dropped into the hole.
     """
 
     begin: int = 7
@@ -54,7 +55,7 @@ class Search:
 
 ABOUT_ESTIMATE = Search()
 ABOUT_NOMINAL_CENTRE = Search(radius_m=10.0e-3, turns=4.0)
-"""For FTM, whose hole is anywhere within the search domain."""
+"""Search for FTM, whose hole is anywhere within the search domain."""
 
 
 def scripted_search(
@@ -64,8 +65,8 @@ def scripted_search(
 
     Args:
         mode: VFTM spirals about the camera's estimate, FTM about the nominal centre.
-        lock: that it runs under. It does best with `sliding`: the script itself presses no harder than 4.5 N.
-        max_steps: of an episode.
+        lock: lock that it runs under. It does best with `sliding`: the script itself presses with at most 4.5 N.
+        max_steps: largest number of steps of an episode.
 
     Raises:
         ValueError: another mode.
@@ -78,7 +79,7 @@ def scripted_search(
 
 
 def still() -> bytes:
-    """Return the file of a policy whose action is always zero: the paper's lock alone brings the peg down."""
+    """Return the file of a policy whose action is always zero; only the paper's lock brings the peg down."""
     contract = _contract("still", "VFTM", "paper", design.MAX_STEPS, None)
     graph = _Graph()
     nothing = graph.constant(np.zeros((contract.observation_size, len(contract.action)), np.float32))
@@ -87,7 +88,7 @@ def still() -> bytes:
 
 
 class _Graph:
-    """Nodes and constants of an ONNX graph; every value has a name that is made up here."""
+    """Nodes and constants of an ONNX graph, which names every value."""
 
     def __init__(self) -> None:
         self.nodes: list[onnx.NodeProto] = []
@@ -143,14 +144,14 @@ def _search_graph(search: Search, contract: PolicyContract) -> _Graph:
 
 
 def _dropped(graph: _Graph, height: str, known: str, search: Search) -> str:
-    """1 once the tip has dropped below the first contact, else 0."""
+    """Add a value that is 1 once the tip has dropped below the first contact, and 0 before."""
     add = graph.add
     low = add("And", add("Greater", known, 0.5), add("Less", height, -search.dropped_m))
     return add("Cast", low, to=int(TensorProto.FLOAT))
 
 
 def _share(graph: _Graph, free: str, displacement: str, limit: float) -> str:
-    """A displacement as a share of the action's limit, zero unless `free`."""
+    """Add a displacement as a share of the action's limit, zero unless `free`."""
     return graph.add("Mul", free, graph.add("Div", displacement, limit))
 
 

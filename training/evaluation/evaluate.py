@@ -1,4 +1,4 @@
-"""How good a policy is: independent episodes, a fixed number per cell, deterministic, on seeds never trained on."""
+"""Evaluation of a deterministic policy by independent episodes on seeds that no training uses."""
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -20,15 +20,15 @@ from wire.limits import FORCE_CEILING_N
 from wire.task import Conditions, Part, Task
 
 FIRST_TEST_SEED = 2_000_000
-"""Seeds of the test: from here up. Seeds below choose between models; seeds of training are above 2³²."""
+"""First of the test's seeds. Seeds below choose between models; seeds of training are above 2³²."""
 AUTHOR_DEPTH_M = 10e-3
-"""The depth that the author's code calls success."""
+"""Depth that the paper's author's code calls success."""
 CELLS = 25
-"""Most episodes of one job: stepped together in the batched environment, one after another through the service."""
+"""Largest number of episodes of one job; the environment steps them together, the service one after another."""
 
 
 class Actor(Protocol):
-    """What chooses actions: `service.policy.model.Policy`, or a network in training."""
+    """A chooser of actions: `service.policy.model.Policy`, or a network in training."""
 
     def initial_hidden(self, shape: tuple[int, ...] = ()) -> npt.NDArray[np.float32] | None: ...
     def act(
@@ -38,7 +38,7 @@ class Actor(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """Seeds of one setting, for one process."""
+    """Seeds of one setting for one process."""
 
     model: Path
     sha256: str
@@ -59,9 +59,9 @@ def evaluate(
     force_ceiling_n: float = FORCE_CEILING_N,
     reward_name: RewardName = "potential",
 ) -> Block:
-    """Play `episodes` episodes, seeds from `first_seed` up, one after another in each of `cells` cells.
+    """Play `episodes` episodes, with seeds from `first_seed` up, one after another in each of `cells` cells.
 
-    Every cell plays the same number, whatever becomes of them: a window of time would count fast successes more often.
+    Every cell plays the same number of episodes: a window of time would count fast successes more often.
 
     Raises:
         ValueError: the episodes do not divide evenly over the cells.
@@ -92,11 +92,11 @@ def play(
     """Play one episode in every cell; a cell that has finished idles until the others have.
 
     Args:
-        actor: chooses the actions.
+        actor: chooser of the actions.
         insertions: as many cells as tasks.
-        tasks: of the episodes.
-        to_author_depth: leave the policy on after an episode's end, which all else is judged at, until the peg is
-            `AUTHOR_DEPTH_M` deep or the time is up.
+        tasks: tasks of the episodes.
+        to_author_depth: leave the policy on after an episode's end until the peg is `AUTHOR_DEPTH_M` deep or the time
+            is up; all other figures are those of the end.
     """
     n = insertions.n
     observation = insertions.reset(np.arange(n), tasks)
@@ -133,7 +133,7 @@ def play(
 
 
 def measure(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Setting, list[EpisodeResult]]]:
-    """Play jobs in `workers` processes and give each one's episodes as it ends."""
+    """Play jobs in `workers` processes and yield the episodes of each job as it ends."""
     if workers == 1:
         for job in jobs:
             yield job.setting, _run(job)
@@ -155,7 +155,7 @@ def measure(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Setting, list[E
 
 
 def jobs_of(model: Path, sha256: str, block: Block, episodes: int) -> list[Job]:
-    """What is missing of the first `episodes` episodes of a block, in shares of `CELLS`."""
+    """Return jobs for the missing ones of a block's first `episodes` episodes, in shares of `CELLS`."""
     seeds = block.missing(episodes)
     return [
         Job(model, sha256, block.setting, tuple(seeds[begin : begin + CELLS])) for begin in range(0, len(seeds), CELLS)
@@ -163,7 +163,7 @@ def jobs_of(model: Path, sha256: str, block: Block, episodes: int) -> list[Job]:
 
 
 def with_lock(contract: PolicyContract, setting: Setting) -> PolicyContract:
-    """The contract with the setting's lock in the place of its own: a policy under a lock that it was not trained for.
+    """Return the contract under the setting's lock, for which the policy may not have been trained.
 
     Raises:
         ValueError: the contract does not go together with the lock, as mode VM with any but `off`.

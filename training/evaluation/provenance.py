@@ -1,4 +1,4 @@
-"""Where a figure or a model comes from: commit, machine, versions, and the sources that decide an episode."""
+"""Provenance of figures and models: commit, machine, versions, and the sources that decide an episode."""
 
 import hashlib
 import os
@@ -6,9 +6,11 @@ import platform
 import shutil
 import subprocess
 from collections.abc import Iterable
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+from training.evaluation.source_code import without_prose
 
 PACKAGES = ("mujoco", "numpy", "onnxruntime", "torch")
 ROOT = Path(__file__).parents[2]
@@ -22,7 +24,7 @@ DECIDING = (
     "training/evaluation/evaluate.py",
     *(f"training/environment/{name}.py" for name in ("insertion", "reward")),
 )
-"""What an episode in the batched environment depends on, besides the policy's file; a test looks for missing ones."""
+"""Sources that decide an episode in the batched environment, besides the policy's file; a test finds missing ones."""
 DEPLOYED = (
     *(
         f"{package}/**/*.{kind}"
@@ -31,14 +33,14 @@ DEPLOYED = (
     ),
     "training/evaluation/through_service.py",
 )
-"""What an episode through the deployed service may depend on besides."""
+"""Further sources on which an episode through the deployed service may depend."""
 DIRTY = "-dirty"
 
 
 def commit() -> str | None:
-    """Return the commit, with `DIRTY` if the code is not as committed; None where that is not known.
+    """Return the commit, with `DIRTY` if the code differs from it; None if it is not known.
 
-    Results, documents and policies may differ from the commit: a file of results says which policy it is of.
+    Results, documents and policies may differ from the commit: a file of results names its policy.
     """
     head = _git("rev-parse", "--verify", "HEAD")
     return None if head is None else head + (DIRTY if _git("status", "--porcelain", "--", *CODE) != "" else "")
@@ -51,18 +53,18 @@ def machine() -> str:
 
 @cache
 def sources() -> str:
-    """Return the SHA-256 of `DECIDING`, names and contents in sorted order: the same wherever the sources are."""
+    """Return the SHA-256 of `DECIDING`, names and code in sorted order: the same wherever the sources are."""
     return _digest(DECIDING)
 
 
 def deployed_sources() -> str:
-    """Return the SHA-256 of `DECIDING` and `DEPLOYED` together, as they are now: a service starts from the files."""
+    """Return the SHA-256 of `DECIDING` and `DEPLOYED` together, read anew: a service starts from the files."""
     found = (path for pattern in DEPLOYED for path in ROOT.glob(pattern))
     return _digest({*DECIDING, *(path.relative_to(ROOT).as_posix() for path in found)})
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of what results depend on, as far as it is installed."""
+    """Return the versions of Python and of the installed packages that results depend on."""
     found = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
@@ -73,15 +75,24 @@ def versions() -> dict[str, str]:
 
 
 def _digest(names: Iterable[str]) -> str:
+    """Digest files: Python without docstrings, comments and blank lines, other files byte by byte."""
     digest = hashlib.sha256()
     for name in sorted(names):
         data = (ROOT / name).read_bytes()
+        if name.endswith(".py"):
+            data = _code(data)
         digest.update(f"{name} {len(data)}\n".encode() + data)
     return digest.hexdigest()
 
 
+@lru_cache(maxsize=1024)
+def _code(data: bytes) -> bytes:
+    """Code of a Python file; cached, because a measurement through the service asks for its digest at every episode."""
+    return without_prose(data.decode()).encode()
+
+
 def _git(*arguments: str) -> str | None:
-    """What git says of this project; None where it cannot tell, as where this is no working tree."""
+    """Return the output of git in this project; None if it fails, as outside a working tree."""
     git = shutil.which("git")
     if git is None:
         return None

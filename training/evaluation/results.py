@@ -1,7 +1,7 @@
-"""Results as data: what `evaluate` measures of one policy, episode by episode, and `report` reads.
+"""Results as data: the episodes of one policy, which `evaluate` writes and `report` reads.
 
-One file per policy, `results/NAME.json`. Nothing in it is a summary: rates, intervals and percentiles are computed from
-the episodes whenever they are shown.
+Each policy has one file, `results/NAME.json`. A file holds no summaries: rates, intervals and percentiles are computed
+from the episodes whenever they are shown.
 """
 
 import fcntl
@@ -34,23 +34,23 @@ from wire.task import Conditions, Part
 RESULTS = Path("results")
 SCHEMA_VERSION = 1
 WILSON_Z = 1.959964
-"""For a 95 % interval."""
+"""Quantile of the normal distribution for a 95 % interval."""
 CEILING_N = 30.0
 """Force ceiling of the standard recipe."""
 Through = Literal["environment", "zenoh", "rtde"]
-"""What played the episodes: the batched environment; the deployed service with the simulated arm over Zenoh; the same
-with an emulated UR controller over RTDE."""
+"""Player of episodes: the batched environment, or the deployed service with the simulated arm over Zenoh or with an
+emulated UR controller over RTDE."""
 
 
 class ResultsError(ValueError):
-    """A results file that cannot be read or is in use, or that belongs to another policy or other sources."""
+    """A results file cannot be read, is in use, or belongs to another policy or other sources."""
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """95 % Wilson score interval of a proportion (Wilson 1927).
+    """Return the 95 % Wilson score interval of a proportion (Wilson 1927).
 
     Raises:
-        ValueError: no trials.
+        ValueError: there are no trials.
     """
     if trials < 1:
         raise ValueError("an interval needs at least one trial")
@@ -63,17 +63,17 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeResult:
-    """How one episode ended.
+    """Result of one episode.
 
     Attributes:
-        seed: of its world.
+        seed: seed of its world.
         success: the peg was in: the paper's 2.5 mm deep, its axis inside the hole.
         fault: the force ceiling, or another fault, stopped it.
-        steps: of the policy.
+        steps: number of policy steps.
         peak_force_n: largest resultant over every 2 ms sample.
-        episode_return: sum of its rewards; None where nobody counts them, as in the service.
-        success_10mm: the policy, left on, also went 10 mm deep within its time; None where it was not left on.
-        claimed: what the service said of its own run; None where no service ran.
+        episode_return: sum of its rewards; None through the service, which counts none.
+        success_10mm: the policy, left on, also went 10 mm deep within its time; None: it was not left on.
+        claimed: success as the service reports it; None: no service ran.
         code: the service's reason for a run that did not succeed.
     """
 
@@ -88,23 +88,23 @@ class EpisodeResult:
     code: str | None = None
 
 
-class Section(BaseModel):
+class ResultsSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """What a policy was measured under.
+    """Setting of a measurement.
 
     Attributes:
         part: peg and hole.
-        clearance_m: per face.
+        clearance_m: clearance per face.
         conditions: distributions of an episode, `docs/reference/conditions.md`.
-        lock: that it ran with; the contract's own unless it was put in another's place.
-        through: what played the episodes.
-        reward: that returns are sums of.
+        lock: lock that it ran with; the contract's own unless another one was put in its place.
+        through: player of the episodes.
+        reward: reward whose sums are the returns.
         force_ceiling_n: resultant at which an episode ends.
-        first_seed: seeds count up from here.
+        first_seed: first seed; the others follow it.
     """
 
     part: Part
@@ -117,17 +117,17 @@ class Setting:
     first_seed: int
 
 
-class Session(Section):
+class MeasuringSession(ResultsSection):
     """One stretch of measuring.
 
     Attributes:
         ended: date and time, UTC.
-        commit: of this project.
+        commit: commit of this project.
         machine: processor and cores.
-        versions: of Python and the packages that matter.
-        workers: how many played at once: processes of the batched environment, or services.
-        episodes: played in it.
-        wall_s: from its beginning to its end.
+        versions: versions of Python and the packages that matter.
+        workers: number of players at once: processes of the batched environment, or services.
+        episodes: number of episodes played in it.
+        wall_s: duration.
     """
 
     ended: str
@@ -139,11 +139,61 @@ class Session(Section):
     wall_s: float
 
 
-class Block(Section):
+class Replay(ResultsSection):
+    """Episodes that were played again with earlier and with later sources.
+
+    Attributes:
+        through: player of the episodes.
+        policy: name of the policy's file: the measured policy, or one that stands in for it.
+        compared: the quantities that were compared.
+        blocks: number of settings.
+        episodes: number of episodes played with either sources.
+        agreed: number of episodes that agree.
+        as_on_file: number of episodes whose every figure is that on file; None: another policy stood in.
+    """
+
+    through: Through
+    policy: str
+    compared: str
+    blocks: int
+    episodes: int
+    agreed: int
+    as_on_file: int | None
+
+
+class Carried(ResultsSection):
+    """One change of the sources that results were carried over, because it alters no episode.
+
+    Attributes:
+        date: date and time, UTC.
+        from_sources: `sources` before.
+        to_sources: `sources` after.
+        from_deployed_sources: `deployed_sources` before; None: episodes through the service were not carried.
+        to_deployed_sources: `deployed_sources` after.
+        from_commit: revision before.
+        to_commit: revision after.
+        machine: processor and cores that played the episodes.
+        versions: versions of Python and the packages that matter.
+        replays: the episodes that were played and compared.
+    """
+
+    date: str
+    from_sources: str
+    to_sources: str
+    from_deployed_sources: str | None
+    to_deployed_sources: str | None
+    from_commit: str | None
+    to_commit: str | None
+    machine: str
+    versions: dict[str, str]
+    replays: tuple[Replay, ...]
+
+
+class Block(ResultsSection):
     """Episodes under one setting, in the order of their seeds."""
 
     setting: Setting
-    sessions: tuple[Session, ...] = ()
+    sessions: tuple[MeasuringSession, ...] = ()
     episodes: tuple[EpisodeResult, ...] = ()
 
     @field_validator("episodes", mode="before")
@@ -159,7 +209,7 @@ class Block(Section):
     @field_serializer("episodes")
     def _to_columns(self, episodes: tuple[EpisodeResult, ...]) -> dict[str, list[JsonValue]]:
         rows = [asdict(episode) for episode in episodes]
-        return {name: [_short(row[name]) for row in rows] for name in EpisodeResult.__slots__}
+        return {name: [rounded(row[name]) for row in rows] for name in EpisodeResult.__slots__}
 
     @property
     def successes(self) -> int:
@@ -185,29 +235,29 @@ class Block(Section):
         return sum(session.wall_s for session in self.sessions)
 
     def first(self, count: int) -> "Block":
-        """The first `count` episodes."""
+        """Return this block with its first `count` episodes only."""
         return self.model_copy(update={"episodes": self.episodes[:count]})
 
     def unbroken(self) -> "Block":
-        """The episodes from the first seed up to the first one that was not played."""
+        """Return this block up to the first seed that was not played."""
         first = self.setting.first_seed
         return self.model_copy(
             update={"episodes": tuple(e for n, e in enumerate(self.episodes) if e.seed == first + n)}
         )
 
     def missing(self, count: int) -> list[int]:
-        """Seeds of the first `count` that have not been played."""
+        """Return the seeds of the first `count` that have not been played."""
         played = {episode.seed for episode in self.episodes}
         first = self.setting.first_seed
         return [seed for seed in range(first, first + count) if seed not in played]
 
     def with_episodes(self, more: Iterable[EpisodeResult]) -> "Block":
-        """This block with more episodes; one played again takes the place of the old one."""
+        """Return this block with more episodes; an episode played again replaces the old one."""
         episodes = {e.seed: e for e in (*self.episodes, *more)}
         return self.model_copy(update={"episodes": tuple(episodes[seed] for seed in sorted(episodes))})
 
     def figure(self) -> EvaluationFigure:
-        """For the policy's contract."""
+        """Return the figure for the policy's contract."""
         low, high = self.interval
         median, _, most = self.peaks
         return EvaluationFigure(
@@ -222,7 +272,7 @@ class Block(Section):
         )
 
     def line(self) -> str:
-        """One row of `HEADER`'s table."""
+        """Return one row of `HEADER`'s table."""
         setting = self.setting
         low, high = self.interval
         median, p99, most = self.peaks
@@ -240,24 +290,26 @@ HEADER = (
 )
 
 
-class Results(Section):
-    """Everything measured of one policy.
+class Results(ResultsSection):
+    """All measurements of one policy.
 
     Attributes:
-        schema_version: of this document.
+        schema_version: version of this document.
         policy: name in its contract.
-        sha256: of its file.
-        sources: SHA-256 of the sources that decide an episode, `provenance.sources`: another world, arm, lock
-            or criterion makes other results.
-        deployed_sources: of the episodes through the service, `provenance.deployed_sources`; None without any.
-        mode: what it observes.
-        lock: its contract's.
-        period_s: between two actions.
-        max_steps: of an episode.
-        stiffness: of its compliance law, N/m and N·m/rad about x, y, z.
-        press_m: how far below the lock a command may go.
+        sha256: digest of its file.
+        sources: digest of the sources that decide an episode, `provenance.sources`: another world, arm, lock or
+            criterion makes other results.
+        deployed_sources: digest for the episodes through the service, `provenance.deployed_sources`; None: there are
+            none.
+        mode: observation mode.
+        lock: lock of its contract.
+        period_s: time between two actions.
+        max_steps: largest number of steps of an episode.
+        stiffness: stiffness of its compliance law, N/m and N·m/rad about x, y, z.
+        press_m: largest distance of a command below the lock.
         seek_step_m: the lock's increment downwards before contact.
-        provenance: its contract's: how it was trained.
+        provenance: provenance in its contract: the account of its training.
+        carried: changes of the sources since the episodes were played, oldest first.
         blocks: one per setting.
     """
 
@@ -274,6 +326,7 @@ class Results(Section):
     press_m: float
     seek_step_m: float
     provenance: dict[str, JsonValue]
+    carried: tuple[Carried, ...] = ()
     blocks: tuple[Block, ...] = ()
 
     @model_validator(mode="after")
@@ -283,11 +336,11 @@ class Results(Section):
         return self
 
     def block(self, setting: Setting) -> Block:
-        """Block of a setting, an empty one where nothing was measured."""
+        """Return the block of a setting, an empty one if nothing was measured."""
         return next((block for block in self.blocks if block.setting == setting), Block(setting=setting))
 
     def with_block(self, block: Block) -> Self:
-        """These results with a block in the place of the one with its setting, or at the end."""
+        """Return these results with a block that replaces the one of its setting, or follows the others."""
         settings = [known.setting for known in self.blocks]
         blocks = list(self.blocks)
         if block.setting in settings:
@@ -297,16 +350,16 @@ class Results(Section):
         return self.model_copy(update={"blocks": tuple(blocks)})
 
     def unbroken(self) -> Self:
-        """These results, each block up to the first seed that was not played: short episodes end first."""
+        """Return these results with each block up to the first seed that was not played: short episodes end first."""
         return self.model_copy(update={"blocks": tuple(block.unbroken() for block in self.blocks)})
 
     def without_service(self) -> Self:
-        """These results without what went through the service."""
+        """Return these results without the blocks through the service."""
         kept = tuple(block for block in self.blocks if block.setting.through == "environment")
         return self.model_copy(update={"blocks": kept, "deployed_sources": None})
 
     def save(self, path: Path) -> None:
-        """Write the file, at once or not at all: one line per column, so that a difference can be read."""
+        """Write the file at once or not at all, one line per column, so that a difference can be read."""
         files.write(path, f"{_laid_out(self.model_dump(mode='json'), 0)}\n".encode())
 
     @classmethod
@@ -314,7 +367,7 @@ class Results(Section):
         """Read a file.
 
         Raises:
-            ResultsError: it cannot be read, or holds something else.
+            ResultsError: the file cannot be read or holds something else.
         """
         try:
             return cls.model_validate_json(path.read_bytes())
@@ -322,12 +375,19 @@ class Results(Section):
             raise ResultsError(f"{path} holds no results: {error}") from error
 
 
+def rounded(value: Any) -> JsonValue:
+    """Return a value of an episode as a file holds it."""
+    if isinstance(value, bool):
+        return int(value)
+    return round(value, 3) if isinstance(value, float) else value
+
+
 @contextmanager
 def exclusive(path: Path) -> Generator[None]:
     """Keep other processes from adding to a results file while the context lasts.
 
     Raises:
-        ResultsError: one is adding to it.
+        ResultsError: another process is adding to it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.with_name(f".{path.stem}.lock").open("w") as lock:
@@ -340,14 +400,8 @@ def exclusive(path: Path) -> Generator[None]:
         yield
 
 
-def _short(value: Any) -> JsonValue:
-    if isinstance(value, bool):
-        return int(value)
-    return round(value, 3) if isinstance(value, float) else value
-
-
 def _laid_out(value: Any, depth: int) -> str:
-    """JSON with objects and lists of objects over several lines, and lists of numbers on one."""
+    """Return JSON with objects and lists of objects over several lines, and lists of numbers on one."""
     inner, outer = "\n" + " " * (depth + 1), "\n" + " " * depth
     if isinstance(value, dict) and value:
         items = cast(dict[str, Any], value)

@@ -1,7 +1,7 @@
-"""The same seeds through the deployed service: world and control process as processes of their own.
+"""Episodes through the deployed service: world and control process run as processes of their own.
 
 The arm is the simulated one over Zenoh, in lockstep, or an emulated UR controller over RTDE, in real time. The control
-process never learns the truth. It is asked of the simulator, where the tool stands when the run has ended.
+process never learns the truth. After the run the simulator is asked for the true state of the peg.
 """
 
 import asyncio
@@ -10,7 +10,6 @@ import math
 import os
 import socket
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -26,6 +25,7 @@ import zenoh
 
 from service.client import CellClient, CellError, CellRefusedError
 from service.messages import CellState, ResetRequest, Run, RunState, StartRequest
+from service.program import PROGRAM, command
 from sim_backend.world.scene import NOMINAL_HOLE_M, PAYLOAD_COM_M, PAYLOAD_KG, TCP_OFFSET_M
 from sim_backend.world.world import START_POSITION_M, START_YAW_RAD
 from training.environment.insertion import LIMITS, SUCCESS_DEPTH_M
@@ -37,10 +37,11 @@ from wire.task import Task
 
 CELL, WORLD, RECIPE = "evaluation", "evaluation", "evaluated"
 HOST = "127.0.0.1"
+REQUESTED_BY = f"{PROGRAM} evaluate"
 READY_S = 60.0
-"""Host time for the processes to come up, and for a cell to be ready after a run."""
+"""Host time allowed for the processes to come up, and for a cell to be ready after a run."""
 RUN_S = 300.0
-"""Host time for one run; in lockstep it takes what the machine needs."""
+"""Host time allowed for one run; in lockstep its duration depends on the machine."""
 SAMPLE_AGE_S = 0.08
 """Age of a sample at which the cell of a general-purpose host stops, as in the shipped configurations."""
 POLL_S = 0.05
@@ -48,14 +49,14 @@ STOP_S = 5.0
 
 
 class ServiceError(RuntimeError):
-    """The deployed service could not be started, or did not bring a run to its end; the text says what it said."""
+    """The deployed service could not be started or did not end a run; the text holds its output."""
 
 
 class LostRunError(ServiceError):
-    """A run that began and was never seen to end: a failure of its own.
+    """A run began and its end was not seen; it counts as a failure.
 
     Attributes:
-        episode: neither inserted nor claimed.
+        episode: the run, neither inserted nor claimed.
     """
 
     def __init__(self, episode: "ServiceEpisode") -> None:
@@ -68,11 +69,11 @@ class ServiceEpisode:
     """One run through the service.
 
     Attributes:
-        seed: of the world.
+        seed: seed of the world.
         run: the service's own account.
-        depth_m: true depth of the peg's bottom below the mouth when the run had ended.
-        inserted: whether the peg truly was in the hole then, `SUCCESS_DEPTH_M` deep, its axis inside, and no fault had
-            latched the cell.
+        depth_m: true depth of the peg's bottom below the mouth after the run.
+        inserted: the peg was truly in the hole then: `SUCCESS_DEPTH_M` deep, its axis inside, and no fault had latched
+            the cell.
     """
 
     seed: int
@@ -82,12 +83,12 @@ class ServiceEpisode:
 
     @property
     def claimed(self) -> bool:
-        """Whether the service says that it succeeded."""
+        """True if the service reports success."""
         return self.run.state is RunState.SUCCEEDED
 
     @property
     def result(self) -> EpisodeResult:
-        """As it is kept: success by the truth."""
+        """Result to keep, with success by the truth."""
         return EpisodeResult(
             seed=self.seed,
             success=self.inserted,
@@ -107,27 +108,27 @@ def play(
     sha256: str | None = None,
     on_episode: Callable[[ServiceEpisode], object] = lambda _: None,
 ) -> list[ServiceEpisode]:
-    """Play seeds, one after another.
+    """Play seeds one after another.
 
     Args:
         model: ONNX file of the policy.
-        seeds: of the worlds.
-        setting: part, clearance, conditions, ceiling, and through which arm; its lock is the policy's own.
-        sha256: that the file must have, or the service refuses it; None: any.
-        on_episode: is told each run when it has ended.
+        seeds: seeds of the worlds.
+        setting: part, clearance, conditions, ceiling and arm; its lock must be the policy's own.
+        sha256: digest that the file must have, or the service refuses it; None: any.
+        on_episode: called with each run when it has ended.
 
     Raises:
         ServiceError: the processes do not come up, or a run does not end.
     """
     with tempfile.TemporaryDirectory(prefix="dsl-assembly-") as directory, ExitStack() as processes:
         sim_endpoint, cell_endpoint = (f"tcp/{HOST}:{port}" for port in _free_ports(2))
-        world = ["sim_backend", *_arm(setting), "--world", WORLD, "--listen", sim_endpoint]
-        logs = [Path(directory) / name for name in ("simulator.log", "service.log")]
+        world = ["sim", *_arm(setting), "--world", WORLD, "--listen", sim_endpoint]
+        logs = [Path(directory) / name for name in ("simulator.log", "control-process.log")]
         simulator = processes.enter_context(_process(world, logs[0]))
         ready = _await_line(simulator, logs[0])
         config = Path(directory) / "cell.toml"
         config.write_text(_toml(_configuration(model, sha256, setting, cell_endpoint, sim_endpoint, ready)))
-        service = processes.enter_context(_process(["service", "run", "--config", str(config)], logs[1]))
+        service = processes.enter_context(_process(["control", "--config", str(config)], logs[1]))
         try:
             return asyncio.run(_play(seeds, setting, cell_endpoint, sim_endpoint, on_episode))
         except (CellError, LostRunError, TimeoutError) as error:
@@ -138,10 +139,10 @@ def play(
 
 
 def measure(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Setting, EpisodeResult]]:
-    """Play jobs through `workers` services at once and give each episode as it ends.
+    """Play jobs through `workers` services at once and yield each episode as it ends.
 
     Raises:
-        ServiceError: as `play`; what has ended before was given.
+        ServiceError: as `play`; episodes that ended before were yielded.
     """
     told: SimpleQueue[tuple[Setting, EpisodeResult] | Future[None]] = SimpleQueue()
     enough = threading.Event()
@@ -180,7 +181,7 @@ def _arm(setting: Setting) -> list[str]:
 def _configuration(
     model: Path, sha256: str | None, setting: Setting, cell_endpoint: str, sim_endpoint: str, ready: dict[str, str]
 ) -> dict[str, dict[str, Any]]:
-    """Sections of the cell's TOML; `ready` is what the simulator said when it came up."""
+    """Return the sections of the cell's TOML; `ready` holds the simulator's ports."""
     over_rtde = setting.through == "rtde"
     limits = {
         "force_ceiling_n": setting.force_ceiling_n,
@@ -239,7 +240,7 @@ async def _play(
                 try:
                     played.append(await _play_one(seed, setting, cell, session))
                 except LostRunError as lost:
-                    on_episode(lost.episode)  # kept, or it would be played until it ends well
+                    on_episode(lost.episode)  # it is kept; otherwise it would be played again until it ends well
                     raise
                 on_episode(played[-1])
             return played
@@ -249,13 +250,13 @@ async def _play(
 
 async def _play_one(seed: int, setting: Setting, cell: CellClient, session: zenoh.Session) -> ServiceEpisode:
     await _await_ready(cell)
-    started = await cell.start(StartRequest(recipe=RECIPE, seed=seed, requested_by="python -m training evaluate"))
+    started = await cell.start(StartRequest(recipe=RECIPE, seed=seed, requested_by=REQUESTED_BY))
     run = started.run
     try:
         async with asyncio.timeout(RUN_S):
             while (run := await cell.run(run.id)).state is RunState.ACTIVE:
                 await asyncio.sleep(POLL_S)
-            while (await cell.status()).state is CellState.STOPPING:  # what is felt until the arm stands counts
+            while (await cell.status()).state is CellState.STOPPING:  # forces until the arm stands count
                 await asyncio.sleep(POLL_S)
             run = await cell.run(run.id)
     except (CellError, TimeoutError) as error:
@@ -268,16 +269,16 @@ async def _play_one(seed: int, setting: Setting, cell: CellClient, session: zeno
 
 
 def judged(truth: dict[str, Any], seed: int, setting: Setting, run: Run) -> ServiceEpisode:
-    """Return the episode that the simulator says it was.
+    """Judge a run by the simulator's truth.
 
     Args:
-        truth: of the world where the tool stood when the run had ended.
-        seed: that was asked for.
-        setting: likewise.
+        truth: true state of the world after the run.
+        seed: seed that was asked for.
+        setting: setting that was asked for.
         run: the service's own account.
 
     Raises:
-        ServiceError: the world was laid out for something else.
+        ServiceError: the world was laid out for another task.
     """
     asked = Task(seed, setting.part, setting.clearance_m, setting.conditions).to_json()
     played: dict[str, Any] = truth["task"]
@@ -291,7 +292,7 @@ def judged(truth: dict[str, Any], seed: int, setting: Setting, run: Run) -> Serv
 
 
 async def _await_ready(cell: CellClient) -> None:
-    """Wait until a run may start, and acknowledge what the last one latched."""
+    """Wait until a run may start, and reset a latched cell."""
     refusal = "it did not become ready"
     deadline = time.monotonic() + READY_S
     while time.monotonic() < deadline:
@@ -300,7 +301,7 @@ async def _await_ready(cell: CellClient) -> None:
             if status.can_start:
                 return
             if status.state is CellState.LATCHED:
-                await cell.reset(ResetRequest(requested_by="python -m training evaluate"))
+                await cell.reset(ResetRequest(requested_by=REQUESTED_BY))
             refusal = status.why_not or refusal
         except CellRefusedError as error:
             refusal = error.problem.detail
@@ -311,7 +312,7 @@ async def _await_ready(cell: CellClient) -> None:
 
 
 def _await_line(process: subprocess.Popen[bytes], log: Path) -> dict[str, str]:
-    """Wait for the simulator's `ready name=value …` and return what it says."""
+    """Wait for the simulator's line `ready name=value …` and return its values."""
     deadline = time.monotonic() + READY_S
     while time.monotonic() < deadline and process.poll() is None:
         for line in log.read_text().splitlines():
@@ -323,12 +324,12 @@ def _await_line(process: subprocess.Popen[bytes], log: Path) -> dict[str, str]:
 
 
 @contextmanager
-def _process(module: list[str], log: Path) -> Generator[subprocess.Popen[bytes]]:
-    """Run `python -m module …` while the context lasts, its output in `log`."""
+def _process(arguments: list[str], log: Path) -> Generator[subprocess.Popen[bytes]]:
+    """Run this project's program while the context lasts, its output in `log`."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("DSL_ASSEMBLY_")}
     with log.open("wb") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", *module],
+            command(*arguments),
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
@@ -354,7 +355,7 @@ def _free_ports(count: int) -> list[int]:
 
 
 def _toml(sections: dict[str, dict[str, Any]]) -> str:
-    """Write sections of numbers, flags, plain strings and lists: there JSON and TOML agree."""
+    """Write sections of numbers, flags, plain strings and lists, for which JSON and TOML agree."""
     return "\n".join(
         f"[{name}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in section.items())
         for name, section in sections.items()

@@ -1,6 +1,6 @@
-"""An experiment: everything that decides what a training turns out, as one TOML file in `training/experiments/`.
+"""An experiment: everything that decides the outcome of a training, as one TOML file in `training/experiments/`.
 
-`docs/reference/experiment-file.md` explains the fields to those who write one.
+`docs/reference/experiment-file.md` explains how to write one.
 """
 
 import math
@@ -27,29 +27,29 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class ExperimentError(ValueError):
-    """An experiment that cannot be found, read or run; the text names every field at fault."""
+    """An experiment cannot be found, read or run; the text names every field at fault."""
 
 
-class Section(BaseModel):
+class ExperimentSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class TaskSection(Section):
-    """What is trained on.
+class TaskSection(ExperimentSection):
+    """The task: what the training plays.
 
     Attributes:
-        mode: what the policy observes. VFTM: the hole's estimate and the contact; FTM: the nominal centre and the
-            contact; VM: the estimate alone.
+        mode: observation mode. VFTM: the hole's estimate and the contact; FTM: the nominal centre and the contact;
+            VM: the estimate alone.
         lock: how the depth is limited: `paper`, `sliding` or `off`, the only one that VM has.
         parts: pegs and holes; each gets the same number of workers.
-        clearance_mm: range of clearances per face to draw from, tight ones more often.
+        clearance_mm: range of clearances per face to draw from; tight ones are drawn more often.
         conditions: distributions of an episode, see `docs/reference/conditions.md`.
         randomise_plant: friction, stiffness, delay and mass vary.
         slips: share of the training episodes in which the hole slips once to another place and yaw.
-        misreads: share of the training episodes in which the policy reads the torque about z times a factor within ±1.
-        reward: of `training.environment.reward`.
-        force_cost_per_n: in the reward `potential`, of the episode's peak force above 12 N.
-        max_steps: of an episode.
+        misreads: share of the training episodes in which the torque about z is scaled by a factor within ±1.
+        reward: name of a reward in `training.environment.reward`.
+        force_cost_per_n: cost per newton of peak force above 12 N, in the reward `potential`.
+        max_steps: largest number of steps of an episode.
         force_ceiling_n: resultant that ends an episode in a fault.
     """
 
@@ -83,15 +83,15 @@ class TaskSection(Section):
         return self
 
 
-class PolicySection(Section):
-    """What a policy does, where that is not what `training.environment.design` gives it; none: as there.
+class PolicySection(ExperimentSection):
+    """Changes to the policy's contract; None: as `training.environment.design` makes it.
 
     Attributes:
-        press_mm: how far below the lock a command may go.
-        dxy_mm: displacement in x and in y at an action of ±1, per step.
-        dz_mm: the same upwards.
-        dyaw_deg: the same in yaw.
-        wrench_window_ticks: newest samples of a step that are averaged.
+        press_mm: largest distance of a command below the lock.
+        dxy_mm: displacement per step in x and in y at an action of ±1.
+        dz_mm: displacement per step in z at an action of ±1.
+        dyaw_deg: turn per step at an action of ±1.
+        wrench_window_ticks: number of newest samples of a step that are averaged.
     """
 
     press_mm: NotNegative | None = None
@@ -101,7 +101,7 @@ class PolicySection(Section):
     wrench_window_ticks: Count | None = None
 
     def adjust(self, contract: PolicyContract) -> PolicyContract:
-        """Return `contract` with what this section says."""
+        """Return `contract` with the changes of this section."""
         scaled = {
             "dx": (self.dxy_mm, 1e-3),
             "dy": (self.dxy_mm, 1e-3),
@@ -116,39 +116,39 @@ class PolicySection(Section):
         )
 
 
-class AdmittedSection(Section):
-    """What the policy may be used for, where that is not what it was trained on; a cell refuses anything else.
+class AdmittedSection(ExperimentSection):
+    """Use that the policy is admitted for, if it differs from its training; a cell refuses any other use.
 
     Attributes:
-        parts: pegs and holes; none: those of the task.
-        clearance_mm: least and largest clearance per face; none: the task's.
+        parts: pegs and holes; empty: those of the task.
+        clearance_mm: least and largest clearance per face; None: the task's.
     """
 
     parts: tuple[Part, ...] = ()
     clearance_mm: tuple[Positive, Positive] | None = None
 
 
-class AlgorithmSection(Section):
-    """PPO, its network and the size of things.
+class AlgorithmSection(ExperimentSection):
+    """PPO: network, sizes and rates.
 
     Attributes:
         memory: `gru`: a recurrent unit, one frame of observation; `none`: none, the last 4 to 12 frames instead.
-        width: of the encoder.
+        width: width of the encoder.
         hidden: width of the recurrent unit, or of the layer in its place.
         steps: environment steps in all.
         cells: simulated cells stepped together, over all workers.
-        workers: processes that they are spread over; a multiple of the number of parts.
-        rollout: steps per cell between two updates; gradients reach back so far.
-        learning_rate: of Adam at the start; falls linearly to a tenth.
+        workers: processes that the cells are spread over; a multiple of the number of parts.
+        rollout: steps per cell between two updates; gradients reach back as far.
+        learning_rate: Adam's rate at the start; it falls linearly to a tenth.
         epochs: passes over a rollout.
-        minibatches: per pass; each holds whole sequences of some of the cells.
+        minibatches: minibatches per pass; each holds whole sequences of some cells.
         gamma: discount of the return.
-        gae_lambda: of the advantages (Schulman et al., 2016).
-        averaging: share of the old in the running average of the weights at each update; that average is evaluated and
+        gae_lambda: lambda of the advantages (Schulman et al., 2016).
+        averaging: share of the old weights in the running average at each update; the average is evaluated and
             exported; 0: the latest weights.
         entropy: weight of the bonus for exploration.
-        auxiliary_weight: of the error of the head that predicts where the hole is.
-        initial_log_std: of the exploration; at least that with `start_from`.
+        auxiliary_weight: weight of the error of the head that locates the hole.
+        initial_log_std: logarithm of the exploration's deviation at the start; with `start_from` its lower limit.
     """
 
     memory: Literal["gru", "none"] = "gru"
@@ -177,14 +177,14 @@ class AlgorithmSection(Section):
         return self
 
 
-class EvaluationSection(Section):
-    """How the model is judged as the training goes on: deterministic policy, nominal plant, the validation's seeds.
+class EvaluationSection(ExperimentSection):
+    """Evaluations during the training: deterministic policy, nominal plant, the validation's seeds.
 
     Attributes:
-        every_steps: environment steps between two evaluations; there is one at the end in any case.
-        episodes: per part and clearance, the same ones every time.
-        clearances_mm: per face.
-        conditions: distributions of an episode; none: those of the task.
+        every_steps: environment steps between two evaluations; one more follows at the end.
+        episodes: number per part and clearance, the same ones every time.
+        clearances_mm: clearances per face.
+        conditions: distributions of an episode; None: those of the task.
     """
 
     every_steps: Count
@@ -193,20 +193,20 @@ class EvaluationSection(Section):
     conditions: Conditions | None = None
 
 
-class Experiment(Section):
+class Experiment(ExperimentSection):
     """One experiment, trained once for each of its seeds.
 
     Attributes:
-        name: of the file that it was read from.
-        title: what it is, in a line.
-        task: what is trained on.
-        law: the compliance law about the TCP: `stiffness`, `damping`, `inertia` of six numbers each.
-        policy: what the policy does, where not as usual.
-        admitted: what the policy may be used for.
-        algorithm: how.
-        evaluation: how it is judged meanwhile.
-        seeds: of network, exploration and tasks; one training each.
-        start_from: name of the experiment whose best model of the same seed this one begins with.
+        name: name of the file that it was read from.
+        title: description in one line.
+        task: what the training plays.
+        law: compliance law about the TCP: `stiffness`, `damping`, `inertia` of six numbers each.
+        policy: changes to the policy's contract.
+        admitted: use that the policy is admitted for.
+        algorithm: algorithm, network and sizes.
+        evaluation: evaluations during the training.
+        seeds: seeds of network, exploration and tasks; one training each.
+        start_from: name of the experiment whose best model of the same seed this one begins with; None: none.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$", max_length=60)]
@@ -234,7 +234,7 @@ class Experiment(Section):
         return self
 
     def contract(self) -> PolicyContract:
-        """What a policy trained so sees, does and is limited by."""
+        """Return the contract of the policy that this experiment trains."""
         low, high = self.admitted.clearance_mm or self.task.clearance_mm
         contract = design.contract_for(
             self.task.mode,
@@ -258,10 +258,10 @@ def load(name: str) -> Experiment:
     """Read an experiment.
 
     Args:
-        name: of one in `training/experiments/`, or the path of a TOML file, which ends in `.toml`.
+        name: name of an experiment in `training/experiments/`, or the path of a file that ends in `.toml`.
 
     Raises:
-        ExperimentError: there is none of that name, or it says something impossible.
+        ExperimentError: there is none of that name, or its settings are impossible.
     """
     path = Path(name) if name.endswith(".toml") else FOLDER / f"{name}.toml"
     try:

@@ -1,4 +1,4 @@
-"""From a trained network to the file that a cell loads: ONNX, normalisation inside, contract in the metadata."""
+"""Export of a trained network to the ONNX file that a cell loads, with normalisation and contract inside."""
 
 import copy
 import tempfile
@@ -24,14 +24,14 @@ Matrix = npt.NDArray[np.float32]
 
 OPSET = 17
 AGREEMENT = 1e-4
-"""Largest difference between what the exported graph and the network compute, actions and memories in -1 … 1."""
+"""Largest allowed difference between the exported graph and the network, for actions and memories in -1 … 1."""
 PROBES = 64
 LEVELS = 127
-"""A row of a matrix of weights is stored as whole numbers of one byte up to this, times a scale of its own."""
+"""Largest whole number of one byte as which a weight is stored; every row of a matrix has its own scale."""
 
 
 class DeterministicActor(nn.Module):
-    """Raw observation (batch, n), and the memory (batch, h) of a recurrent policy, to the mean action cut to -1 … 1."""
+    """Map a raw observation (batch, n), and a recurrent policy's memory (batch, h), to the mean action in -1 … 1."""
 
     def __init__(self, network: ActorCritic) -> None:
         super().__init__()
@@ -50,7 +50,7 @@ class DeterministicActor(nn.Module):
 
 
 def gru(cell: nn.GRUCell, entering: Tensor, hidden: Tensor) -> Tensor:
-    """What `cell` computes (Cho et al., 2014, as torch writes it), from operators that ONNX has."""
+    """Compute `cell` (Cho et al., 2014, in torch's form) with operators that ONNX has."""
     reset_in, update_in, new_in = linear(entering, cell.weight_ih, cell.bias_ih).chunk(3, 1)
     reset_kept, update_kept, new_kept = linear(hidden, cell.weight_hh, cell.bias_hh).chunk(3, 1)
     reset = torch.sigmoid(reset_in + reset_kept)
@@ -60,12 +60,12 @@ def gru(cell: nn.GRUCell, entering: Tensor, hidden: Tensor) -> Tensor:
 
 
 def record_evaluation(path: Path, figures: Sequence[EvaluationFigure]) -> Policy:
-    """Write measured results into a policy's contract, in place of earlier ones of the same conditions.
+    """Write measured results into a policy's contract; they replace earlier ones of the same conditions.
 
     The file's hash changes with it.
 
     Raises:
-        service.policy.model.PolicyError: the service would refuse the file; it is left as it was.
+        service.policy.model.PolicyError: the service would refuse the file; the file stays as it was.
     """
     contract = Policy.load(path).contract
     measured = {(figure.conditions, figure.clearance_m): figure for figure in (*contract.evaluation, *figures)}
@@ -75,10 +75,10 @@ def record_evaluation(path: Path, figures: Sequence[EvaluationFigure]) -> Policy
 
 
 def network_of(contract: PolicyContract, weights: dict[str, Tensor]) -> ActorCritic:
-    """Make the network that `weights`, a state dictionary of `ActorCritic`, belong to.
+    """Make the network of `weights`, a state dictionary of `ActorCritic`.
 
     Raises:
-        ValueError: they are those of another network, or of one that sees or does something else.
+        ValueError: the weights belong to another network or to another contract.
     """
     try:
         width, hidden = len(weights["encoder.0.bias"]), weights["aux.0.weight"].shape[1]
@@ -96,10 +96,10 @@ def network_of(contract: PolicyContract, weights: dict[str, Tensor]) -> ActorCri
 
 
 def to_onnx(network: ActorCritic, contract: PolicyContract) -> bytes:
-    """Return the file of a network's deterministic actor with its contract, the weights rounded to one byte.
+    """Return the file of a network's deterministic actor with its contract and its weights rounded to one byte.
 
     Raises:
-        ValueError: the exported graph does not compute what the rounded network computes.
+        ValueError: the exported graph and the rounded network compute different actions.
         service.policy.model.PolicyError: the service would refuse the file.
     """
     network = rounded(network)
@@ -111,7 +111,7 @@ def to_onnx(network: ActorCritic, contract: PolicyContract) -> bytes:
     outputs = ["action", *(["next_hidden"] if network.recurrent else [])]
     with tempfile.TemporaryDirectory() as directory, warnings.catch_warnings():
         graph = Path(directory) / "actor.onnx"
-        warnings.simplefilter("ignore", DeprecationWarning)  # the exporter that takes its place needs another package
+        warnings.simplefilter("ignore", DeprecationWarning)  # its successor needs another package
         torch.onnx.export(
             actor,
             tuple(inputs.values()),
@@ -136,17 +136,17 @@ def to_onnx(network: ActorCritic, contract: PolicyContract) -> bytes:
 
 
 def export(network: ActorCritic, contract: PolicyContract, path: Path) -> Policy:
-    """Write a network's deterministic actor with its contract, once it has loaded as a cell would load it.
+    """Write a network's deterministic actor with its contract, after loading it as a cell would.
 
     Raises:
-        ValueError: the exported graph does not compute what the network computes; nothing is written.
+        ValueError: the exported graph and the network compute different actions; nothing is written.
         service.policy.model.PolicyError: the service would refuse the file; nothing is written.
     """
     return _write(to_onnx(network, contract), path)
 
 
 def rounded(network: ActorCritic) -> ActorCritic:
-    """Return a copy whose matrices hold what `LEVELS` can tell; the arithmetic stays in single precision."""
+    """Return a copy with matrices rounded to `LEVELS`; the arithmetic stays in single precision."""
     network = copy.deepcopy(network)
     with torch.no_grad():
         for weights in network.parameters():
@@ -164,7 +164,7 @@ def _levels(weights: Matrix) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.float
 
 
 def _packed(document: onnx.ModelProto) -> onnx.ModelProto:
-    """Store the matrices of a graph as `_levels` and unpack them where they enter it."""
+    """Store the matrices of a graph as `_levels` and unpack them inside the graph."""
     graph = document.graph
     for tensor in list(graph.initializer):
         weights = onnx.numpy_helper.to_array(tensor)

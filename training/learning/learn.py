@@ -1,4 +1,4 @@
-"""The training: rollouts, updates, evaluations, and a checkpoint after each update from which it goes on."""
+"""The training: rollouts, updates, evaluations, and a checkpoint after each update."""
 
 import math
 import sys
@@ -22,34 +22,34 @@ from training.learning.export import network_of, to_onnx
 from training.learning.network import ActorCritic
 from training.learning.parallel import start
 from training.learning.rollout import Collector, Rollout
-from training.learning.run import CheckpointError, Run, beginning, contract_in, directory_of, read, save
+from training.learning.run import CheckpointError, TrainingRun, beginning, contract_in, directory_of, read, save
 from training.learning.validation import score, validate
 from training.learning.worker import make_cells
 
 RECENT = 500
-"""Episodes over which a line of progress averages."""
+"""Number of latest episodes that a line of progress averages."""
 ADAM_EPSILON = 1e-5
 
 
 class TrainingError(RuntimeError):
-    """A training that cannot go on; the text says why."""
+    """A training cannot go on; the text says why."""
 
 
-def learn(run: Run, start_from: Path | None = None, deadline_s: float = float("inf")) -> ActorCritic:
-    """Train, or go on with, one experiment and seed; everything that comes of it goes to the run's folder.
+def learn(run: TrainingRun, start_from: Path | None = None, deadline_s: float = float("inf")) -> ActorCritic:
+    """Train one experiment and seed, or go on with it; all files go to the run's folder.
 
     Args:
-        run: the experiment, the seed, the folder.
-        start_from: weights to begin with; None: those that the experiment names, if it names any.
-        deadline_s: host time after which this session ends with what it has; the next one goes on from there.
+        run: experiment, seed and folder.
+        start_from: weights to begin with; None: those that the experiment names, if any.
+        deadline_s: host time after which this session ends; the next session goes on from its checkpoint.
 
     Raises:
         ExperimentError: the experiment is no longer the one that the folder's training began with.
-        CheckpointError: weights to begin with are missing or of another network, or the training began with others.
-        TrainingError: it diverged; the checkpoint is from before.
-        WorkerError: a worker's process has ended, or failed.
+        CheckpointError: the weights to begin with are missing or of another network, or the training began with others.
+        TrainingError: the training diverged; the checkpoint is the last good one.
+        WorkerError: a worker's process ended or failed.
     """
-    torch.set_num_threads(1)  # the cells' processes have the cores; an update by several threads is no faster
+    torch.set_num_threads(1)  # the cells' processes use the cores, and an update by several threads is no faster
     training = _Training(run, start_from)
     try:
         training.go_on(deadline_s)
@@ -68,7 +68,7 @@ def untrained(experiment: Experiment, seed: int) -> ActorCritic:
 class _Training:
     """The state of a training under way."""
 
-    def __init__(self, run: Run, start_from: Path | None) -> None:
+    def __init__(self, run: TrainingRun, start_from: Path | None) -> None:
         self._run = run
         self._experiment = run.experiment
         self._algorithm = run.experiment.algorithm
@@ -133,7 +133,7 @@ class _Training:
 
     @property
     def policy(self) -> ActorCritic:
-        """The running average of the weights (Polyak & Juditsky, 1992), which is what comes of a training."""
+        """Running average of the weights (Polyak & Juditsky, 1992): the result of a training."""
         return cast(ActorCritic, self._averaged.module)
 
     @property
@@ -142,7 +142,7 @@ class _Training:
         return self._earlier_s + time.monotonic() - self._began
 
     def _note(self, rollout: Rollout, losses: ppo.Losses, spent_s: float, bar: "tqdm[Any]") -> None:
-        """Say how training goes, over the latest episodes."""
+        """Log the progress of the training over the latest episodes."""
         recent = Ended.joined([self._recent, rollout.ended] if self._recent else [rollout.ended]).latest(RECENT)
         self._recent = recent
         figures: dict[str, float] = {
@@ -219,7 +219,7 @@ class _Training:
         )
 
     def _check_contract(self, document: dict[str, Any]) -> None:
-        """Raise ExperimentError if the code gives the same experiment another contract than it had, but for its use."""
+        """Raise ExperimentError if the experiment's contract differs from the checkpoint's in more than its use."""
         now, then = self._contract, contract_in(document)
         if then is None or then.model_copy(update={"parts": now.parts, "clearance_m": now.clearance_m}) != now:
             raise ExperimentError(
@@ -240,7 +240,7 @@ class _Training:
             self._best = tuple(best["score"])
 
     def _judged_at(self) -> dict[str, Any]:
-        """What an evaluation plays: scores of another one do not compare with it."""
+        """Return the settings of an evaluation; scores compare only under equal settings."""
         return self._experiment.evaluation.model_dump(mode="json", exclude={"every_steps"})
 
     def _named_start(self) -> Path | None:
@@ -248,7 +248,7 @@ class _Training:
         return None if name is None else directory_of(name, self._run.seed) / "best.pt"
 
     def _load(self, path: Path | None) -> None:
-        """Begin with these weights, if any, but explore as much as a training does at its start."""
+        """Begin with these weights, if any, and with the exploration of a fresh training."""
         if path is None:
             return
         try:

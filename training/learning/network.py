@@ -1,8 +1,8 @@
-"""The network: an actor that sees what the cell measures, a critic that may also see what only the simulation knows.
+"""The network: an actor that observes the cell, and a critic that also observes the state of the simulation.
 
 Normalisation belongs to the graph: the actor takes raw physical units, divides by the contract's scales and cuts at its
-clips, in training and in the exported model alike. So does an auxiliary head, which learns to say where the hole is
-from what the actor remembers; the actor is handed its guess, but the actor's gradient does not reach it.
+clips, in training and in the exported model alike. An auxiliary head learns to locate the hole from the actor's memory.
+The actor receives its guess, but the actor's gradient does not reach the head.
 """
 
 import torch
@@ -13,11 +13,11 @@ from training.environment.insertion import AIM, PRIVILEGED_SIZE
 
 AIMS = AIM.stop - AIM.start
 HEAD_SHRINK = 0.05
-"""Of the action's last layer at the start: an untrained policy does next to nothing but explore."""
+"""Factor on the action's last layer at the start: an untrained policy hardly moves beyond its exploration."""
 
 
 class Normalisation(nn.Module):
-    """Raw observation (..., size) to about -1 … 1, by the contract's scales and clips."""
+    """Scale a raw observation (..., size) to about -1 … 1 by the contract's scales and clips."""
 
     scale: Tensor
     clip: Tensor
@@ -38,19 +38,19 @@ class Normalisation(nn.Module):
 
 
 class ActorCritic(nn.Module):
-    """Actor, auxiliary head and critic on one memory.
+    """Actor, auxiliary head and critic that share one memory.
 
     Args:
-        contract: what the policy sees and does; with `hidden_size` 0 a feed-forward layer takes the memory's place.
-        width: of the encoder.
+        contract: contract of the policy; with `hidden_size` 0 a feed-forward layer replaces the memory.
+        width: width of the encoder.
         hidden: width of the memory, or of that layer.
-        initial_log_std: of the exploration, every component.
+        initial_log_std: logarithm of the exploration's deviation at the start, for every component.
 
     Attributes:
-        seen: length of the policy's part of the features, the critic's own `PRIVILEGED_SIZE` come after it.
+        seen: length of the policy's part of the features; the critic's own `PRIVILEGED_SIZE` follow it.
         hidden: width of the memory.
-        recurrent: whether it remembers.
-        log_std: (k,) of the exploration.
+        recurrent: the network has a memory.
+        log_std: (k,) logarithm of the exploration's deviation.
     """
 
     def __init__(self, contract: PolicyContract, width: int, hidden: int, initial_log_std: float) -> None:
@@ -82,36 +82,36 @@ class ActorCritic(nn.Module):
 
     @property
     def finite(self) -> bool:
-        """Whether every parameter is a number."""
+        """True if every parameter is finite."""
         return all(bool(weights.isfinite().all()) for weights in self.parameters())
 
     def initial_hidden(self, cells: int) -> Tensor:
-        """Memory at the beginning of an episode, (cells, hidden)."""
+        """Return the memory at the beginning of an episode, (cells, hidden)."""
         return torch.zeros(cells, self.hidden)
 
     def remember(self, observation: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """One step.
+        """Process one step.
 
         Args:
             observation: (n, seen) raw.
             hidden: (n, hidden) memory before it.
 
         Returns:
-            What was perceived (n, width) and the memory after it (n, hidden).
+            The encoded observation (n, width) and the memory after it (n, hidden).
         """
         perceived = self.encoder(self.normalise(observation))
         return perceived, self.gru(perceived, hidden) if self.recurrent else self.layer(perceived)
 
     def remember_sequence(self, observation: Tensor, hidden: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
-        """Steps in a row: like `remember`, for observations (t, n, seen).
+        """Process steps in a row: as `remember`, for observations (t, n, seen).
 
         Args:
             observation: raw.
             hidden: (n, hidden) before the first.
-            begins: (t, n) 1 where an episode begins with this step, which forgets what was before; else 0.
+            begins: (t, n) 1 where an episode begins with this step, which clears the memory; else 0.
 
         Returns:
-            What was perceived (t, n, width) and the memory after each step (t, n, hidden).
+            The encoded observations (t, n, width) and the memory after each step (t, n, hidden).
         """
         perceived = self.encoder(self.normalise(observation))
         if not self.recurrent:
@@ -124,15 +124,15 @@ class ActorCritic(nn.Module):
         return perceived, torch.stack(memories)
 
     def act(self, perceived: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean action (..., k), not cut, and the auxiliary head's guess (..., AIMS)."""
+        """Return the mean action (..., k), not cut, and the auxiliary head's guess (..., AIMS)."""
         guess = self.aux(hidden)
         return self.head(torch.cat([hidden, perceived, guess.detach()], -1)), guess
 
     def value(self, features: Tensor, hidden: Tensor) -> Tensor:
-        """Expected return (...) of the features (..., seen + PRIVILEGED_SIZE); does not train the memory."""
+        """Return the expected return (...) of features (..., seen + PRIVILEGED_SIZE), without training the memory."""
         seen, privileged = features[..., : self.seen], features[..., self.seen :]
         return self.critic(torch.cat([self.normalise(seen), privileged, hidden.detach()], -1))[..., 0]
 
     def log_density(self, action: Tensor, mean: Tensor) -> Tensor:
-        """Logarithm of the exploration's density (...) at `action`, but for a constant."""
+        """Return the logarithm of the exploration's density (...) at `action`, up to a constant."""
         return (-0.5 * ((action - mean) / self.log_std.exp()) ** 2 - self.log_std).sum(-1)

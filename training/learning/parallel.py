@@ -1,4 +1,4 @@
-"""Insertions in several processes: the numpy between the ticks of the physics runs on one core per process."""
+"""Insertions in several processes, one core each."""
 
 import contextlib
 import multiprocessing
@@ -10,23 +10,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from training.environment.vector import Ended, EndlessCells, EndlessInsertions, Float32Array, Job, Step
+from training.environment.vector import Ended, EndlessCells, EndlessInsertions, Float32Array, Step, WorkerJob
 
 MakeInsertions = Callable[[int], EndlessInsertions]
-"""Makes the cells of worker number i; must be picklable."""
+"""A picklable function that makes the cells of worker number i."""
 END_S = 5.0
 
 
 class WorkerError(RuntimeError):
-    """A worker process has ended, or could not do what it was asked; the text says what it said."""
+    """A worker process ended or failed; the text holds its message."""
 
 
 class ParallelInsertions:
-    """`EndlessCells` of which each worker process has the same number, stepped at the same time.
+    """`EndlessCells` spread evenly over worker processes and stepped at the same time.
 
     Args:
-        make: of each worker's cells, all of one size.
-        workers: how many.
+        make: makes each worker's cells, the same number for all.
+        workers: number of worker processes.
 
     Raises:
         WorkerError: the cells could not be made.
@@ -66,7 +66,7 @@ class ParallelInsertions:
             Ended.joined([step.ended for step in steps]),
         )
 
-    def run(self, jobs: Sequence[Job]) -> list[Any]:
+    def run(self, jobs: Sequence[WorkerJob]) -> list[Any]:
         results: list[Any] = [None] * len(jobs)
         self._ask([tuple(jobs[number :: self.workers]) for number in range(self.workers)])
         for number, done in enumerate(self._answers()):
@@ -91,7 +91,7 @@ class ParallelInsertions:
                 raise WorkerError(f"worker {number} has ended; what it said stands above") from error
 
     def _answers(self) -> list[Any]:
-        """One answer of each worker; all are taken before a failure is raised."""
+        """Return one answer of each worker; all are received before a failure is raised."""
         answers: list[Any] = []
         for number, pipe in enumerate(self._pipes):
             try:
@@ -105,7 +105,7 @@ class ParallelInsertions:
 
 
 def start(make: MakeInsertions, workers: int) -> EndlessCells:
-    """Start the cells of `workers` processes, of this one if it is to be one."""
+    """Start the cells in `workers` processes, or in this process if it is a single worker."""
     return make(0) if workers == 1 else ParallelInsertions(make, workers)
 
 
@@ -115,12 +115,12 @@ class _Failure:
 
 
 def _work(pipe: Connection, make: MakeInsertions, number: int) -> None:
-    """Answer None with a reset, an action with a step and a list of jobs with their results, until the pipe closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which closes the pipe
+    """Serve requests until the pipe closes: None resets, an action steps, and a tuple of jobs is run."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and closes the pipe
     with contextlib.suppress(EOFError, ConnectionError):  # the parent has ended
         try:
             cells = make(number)
-        except Exception as error:  # whatever it is, the parent says it
+        except Exception as error:  # the parent reports it, whatever it is
             pipe.send(_Failure(error))
             return
         pipe.send((cells.n, cells.feature_size, cells.action_size))
@@ -132,7 +132,7 @@ def _work(pipe: Connection, make: MakeInsertions, number: int) -> None:
                 pipe.send(_Failure(error))
 
 
-def _answer(cells: EndlessInsertions, request: "tuple[Job, ...] | npt.NDArray[Any] | None") -> Any:
+def _answer(cells: EndlessInsertions, request: "tuple[WorkerJob, ...] | npt.NDArray[Any] | None") -> Any:
     if request is None:
         return cells.reset()
     if isinstance(request, tuple):

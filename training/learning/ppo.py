@@ -1,4 +1,4 @@
-"""Proximal policy optimisation (Schulman et al., 2017) over sequences, with an auxiliary loss on where the hole is."""
+"""Proximal policy optimisation (Schulman et al., 2017) over sequences, with an auxiliary loss on the hole's place."""
 
 from dataclasses import dataclass
 
@@ -14,18 +14,18 @@ CLIP = 0.2
 VALUE_WEIGHT = 0.5
 GRADIENT_NORM = 0.5
 EXCESS_WEIGHT = 0.05
-"""Of the square of what a mean action exceeds ±1 by: far out there, exploration never comes back."""
+"""Weight of the squared excess of a mean action over ±1: exploration does not return from far outside."""
 
 
 @dataclass(frozen=True, slots=True)
 class Losses:
-    """Means over an update.
+    """Mean losses over an update.
 
     Attributes:
         policy_loss: clipped surrogate objective, negated.
         value_loss: squared error of the critic.
-        auxiliary_loss: squared error of the guess where the hole is, in the units of `Insertions.privileged`.
-        kl: estimate of the divergence from the policy that acted, nats.
+        auxiliary_loss: squared error of the guessed place of the hole, in the units of `Insertions.privileged`.
+        kl: estimated divergence from the policy that acted, nats.
         clipped: share of the samples whose ratio was clipped.
     """
 
@@ -39,7 +39,7 @@ class Losses:
 def update(
     network: ActorCritic, optimiser: torch.optim.Optimizer, rollout: Rollout, algorithm: AlgorithmSection
 ) -> Losses:
-    """Improve the network on a rollout: `epochs` passes in minibatches of whole sequences."""
+    """Improve the network on a rollout in `epochs` passes over minibatches of whole sequences."""
     advantages = rollout.advantages(algorithm.gamma, algorithm.gae_lambda)
     returns = advantages + rollout.value
     said: list[torch.Tensor] = []

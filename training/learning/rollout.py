@@ -1,4 +1,4 @@
-"""What PPO learns from: some steps of every cell, with the policy's exploration, and the advantages of its actions."""
+"""Rollouts for PPO: steps of every cell with the policy's exploration, and the advantages of its actions."""
 
 import time
 from dataclasses import dataclass
@@ -12,20 +12,20 @@ from training.learning.network import ActorCritic
 
 @dataclass(frozen=True, slots=True)
 class Rollout:
-    """t steps of n cells; tensors (t, n, …).
+    """A rollout of t steps in n cells; tensors (t, n, …).
 
     Attributes:
-        features: what the policy saw, in raw units, then what the critic alone sees.
-        action: as drawn, not cut to -1 … 1.
-        log_density: of the drawn action, but for a constant.
-        value: what the critic expected.
-        reward: of the step.
+        features: observation in raw units, followed by the critic's own features.
+        action: drawn action, not cut to -1 … 1.
+        log_density: logarithm of the drawn action's density, up to a constant.
+        value: return that the critic expected.
+        reward: reward of the step.
         begins: 1 where an episode began with this step, else 0.
         ends: 1 where an episode ended with this step, else 0.
         hidden: (n, hidden) memory before the first step.
-        last_value: (n,) what the critic expects after the last step.
+        last_value: (n,) return that the critic expects after the last step.
         ended: episodes that ended.
-        simulating_s: host time for which the cells were waited for.
+        simulating_s: host time spent waiting for the cells.
     """
 
     features: Tensor
@@ -41,9 +41,9 @@ class Rollout:
     simulating_s: float
 
     def advantages(self, gamma: float, gae_lambda: float) -> Tensor:
-        """Generalised advantage estimates (t, n) (Schulman et al., 2016).
+        """Return generalised advantage estimates (t, n) (Schulman et al., 2016).
 
-        An episode's end is worth nothing more, also where its time was up: the limit belongs to the task, and the
+        The value after an episode's end is zero, also where its time was up: the limit belongs to the task, and the
         policy observes how much of it has passed.
         """
         advantage = torch.zeros_like(self.reward)
@@ -59,7 +59,7 @@ class Rollout:
 
 
 class Collector:
-    """Plays the cells on and on, and remembers between two rollouts where each of them stands."""
+    """Plays the cells without end and keeps their state between two rollouts."""
 
     def __init__(self, cells: EndlessCells, network: ActorCritic) -> None:
         self._cells = cells
@@ -70,7 +70,7 @@ class Collector:
 
     @torch.no_grad()
     def collect(self, steps: int) -> Rollout:
-        """Play `steps` steps of every cell with actions drawn about the policy's."""
+        """Play `steps` steps of every cell with actions drawn around the policy's mean."""
         cells, network = self._cells, self._network
         features = torch.empty(steps, cells.n, cells.feature_size)
         action = torch.empty(steps, cells.n, cells.action_size)

@@ -1,12 +1,12 @@
-"""The folder of one training: what was asked, what happened, and from where it goes on.
+"""The folder of one training: its settings, its progress and its checkpoints.
 
 | file | holds |
 |---|---|
-| `run.json` | experiment, contract, seed; of each session when, commit, versions, machine; weights to begin with |
+| `run.json` | experiment, contract, seed; of each session time, commit, versions, machine; initial weights |
 | `progress.jsonl` | one line per update and per evaluation |
-| `checkpoint.pt` | from where the training goes on: written after every update |
-| `best.pt` | the weights that did best in an evaluation |
-| `tensorboard/` | the same figures as `progress.jsonl` |
+| `checkpoint.pt` | state from which the training goes on, written after every update |
+| `best.pt` | weights that did best in an evaluation |
+| `tensorboard/` | figures of `progress.jsonl` |
 """
 
 import hashlib
@@ -29,16 +29,16 @@ FREE_TO_CHANGE = {"title", "seeds", "evaluation", "admitted"}
 
 
 class CheckpointError(ValueError):
-    """A file of weights that cannot be read, or is not for this experiment."""
+    """A file of weights cannot be read or is not for this experiment."""
 
 
-class Run:
-    """A folder that may hold a training under way.
+class TrainingRun:
+    """The folder of one experiment and seed; it may hold a training under way.
 
     Args:
-        experiment: what is trained.
-        seed: of network, exploration and tasks.
-        directory: None: `var/training/EXPERIMENT/seed-N`.
+        experiment: experiment to train.
+        seed: seed of network, exploration and tasks.
+        directory: the folder; None: `var/training/EXPERIMENT/seed-N`.
     """
 
     def __init__(self, experiment: Experiment, seed: int, directory: Path | None = None) -> None:
@@ -51,11 +51,11 @@ class Run:
         self._document = self.directory / "run.json"
 
     def open(self, steps: int, began_with: dict[str, Any] | None = None) -> None:
-        """Begin a session at `steps`: note it, and forget progress that was made after the checkpoint.
+        """Begin a session: note it, and drop progress that was made after the checkpoint.
 
         Args:
-            steps: at which it begins.
-            began_with: `beginning` of the weights that a training did not begin without.
+            steps: environment steps at which it begins.
+            began_with: `beginning` of the weights that the training begins with; None: it begins with none.
 
         Raises:
             ExperimentError: the experiment is no longer the one that this training began with.
@@ -95,7 +95,7 @@ class Run:
             file.write(json.dumps(record) + "\n")
 
     def records(self) -> list[dict[str, Any]]:
-        """Return the lines of `progress.jsonl`; a last one that was cut off is left out."""
+        """Return the lines of `progress.jsonl` without a last one that was cut off."""
         if not self._progress.is_file():
             return []
         lines = self._progress.read_text().split("\n")[:-1]
@@ -103,12 +103,12 @@ class Run:
 
     @property
     def steps(self) -> int:
-        """How far the training has come."""
+        """Environment steps trained so far."""
         return read(self.checkpoint)["steps"] if self.checkpoint.is_file() else 0
 
     @property
     def began_with(self) -> dict[str, Any] | None:
-        """`beginning` of the weights that the training began with; None: with none, or none are noted."""
+        """Return `beginning` of the weights that the training began with; None: none, or none are noted."""
         return json.loads(self._document.read_text())["sessions"][0].get("began_with")
 
     def _described(self) -> dict[str, Any]:
@@ -121,15 +121,15 @@ def directory_of(name: str, seed: int) -> Path:
 
 
 def save(path: Path, document: dict[str, Any]) -> None:
-    """Write tensors and plain values as a whole."""
+    """Write tensors and plain values to a file, at once or not at all."""
     files.write_by(path, lambda fresh: torch.save(document, fresh))
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Read what `save` wrote: at least `net`, the network's weights, and `steps`, how long they were trained.
+    """Read a file that `save` wrote; it holds at least the weights `net` and the `steps` that they were trained.
 
     Raises:
-        CheckpointError: there is no such file, or it is something else.
+        CheckpointError: the file does not exist or holds something else.
     """
     try:
         document = torch.load(path, map_location="cpu", weights_only=True)
@@ -145,7 +145,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def account_beside(path: Path) -> dict[str, Any]:
-    """Return what the `run.json` beside a file of weights says of how they were trained; empty if there is none."""
+    """Return the account of a training from the `run.json` beside its weights; empty if there is none."""
     document = path.with_name("run.json")
     if not document.is_file():
         return {}
@@ -154,7 +154,7 @@ def account_beside(path: Path) -> dict[str, Any]:
 
 
 def beginning(path: Path) -> dict[str, Any]:
-    """Return what is noted of weights to begin with: file, steps, and whose they were, as far as that is known."""
+    """Return the note on weights to begin with: file, steps, digest and, if known, experiment and seed."""
     account = account_beside(path)
     whose = {"experiment": account["experiment"]["name"], "seed": account["seed"]} if account else {}
     data = {"steps": read(path)["steps"], "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
@@ -162,12 +162,12 @@ def beginning(path: Path) -> dict[str, Any]:
 
 
 def contract_in(document: dict[str, Any]) -> PolicyContract | None:
-    """Return the contract that a checkpoint was trained under; None if it does not say."""
+    """Return the contract that a checkpoint was trained under; None if it names none."""
     return PolicyContract.from_json(document["contract"]) if "contract" in document else None
 
 
 def _changes(before: dict[str, Any], now: dict[str, Any], under: str = "") -> Iterator[str]:
-    """Yield the names of the settings that differ and may not."""
+    """Yield the names of settings that differ although they must not."""
     for name in sorted(before.keys() | now.keys()):
         full = under + name
         if full in FREE_TO_CHANGE or full == "algorithm.steps":

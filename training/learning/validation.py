@@ -1,4 +1,4 @@
-"""Judges a model while it is trained: the deterministic policy, as it would be exported, on seeds of their own."""
+"""Validation during training: the deterministic policy, as it would be exported, on seeds of its own."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -14,12 +14,12 @@ from training.learning.experiment import Experiment
 from wire.task import Conditions, Part
 
 FIRST_VALIDATION_SEED = 500_000
-"""Seeds that choose between models: from here up to the first of the test."""
+"""First of the seeds that choose between models; they end below the first test seed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """Results at one part and clearance."""
+    """Results of one part at one clearance."""
 
     part: Part
     clearance_m: float
@@ -28,16 +28,16 @@ class Validation:
 
     @property
     def success(self) -> float:
-        """Rate."""
+        """Success rate."""
         return float(np.mean([episode.success for episode in self.episodes]))
 
     @property
     def returns(self) -> list[float]:
-        """Of the episodes."""
+        """Returns of the episodes."""
         return [episode.episode_return or 0.0 for episode in self.episodes]
 
     def record(self) -> dict[str, str | int | float]:
-        """Return what `progress.jsonl` says of it."""
+        """Return the line for `progress.jsonl`."""
         peaks = np.percentile([episode.peak_force_n for episode in self.episodes], [50, 99, 100]).round(3).tolist()
         return {
             "part": self.part,
@@ -59,9 +59,9 @@ def validate(experiment: Experiment, model: bytes, cells: EndlessCells) -> list[
     """Play the experiment's evaluation.
 
     Args:
-        experiment: says at which parts and clearances, and how many episodes of each.
-        model: ONNX file of the policy.
-        cells: stand still meanwhile; their processes play the episodes.
+        experiment: sets the parts, the clearances and the number of episodes of each.
+        model: contents of the policy's ONNX file.
+        cells: cells of the training; their processes play the episodes.
     """
     evaluation, task = experiment.evaluation, experiment.task
     conditions = evaluation.conditions or task.conditions
@@ -86,7 +86,7 @@ def validate(experiment: Experiment, model: bytes, cells: EndlessCells) -> list[
 
 
 def score(validations: list[Validation]) -> tuple[float, float]:
-    """Return what models are ordered by: mean success rate, at equal success the mean return."""
+    """Return the order of models: mean success rate, and at equal success the mean return."""
     return (
         float(np.mean([validation.success for validation in validations])),
         float(np.mean([np.mean(validation.returns) for validation in validations])),

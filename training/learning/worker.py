@@ -1,4 +1,4 @@
-"""The cells of one worker of a training. Apart, because a worker loads no torch."""
+"""The cells of one training worker, in a module of their own because a worker loads no torch."""
 
 from training.environment.episodes import TaskSource
 from training.environment.insertion import Insertions
@@ -7,9 +7,9 @@ from training.learning.experiment import Experiment
 
 
 def make_cells(experiment: Experiment, seed: int, steps: int, worker: int) -> EndlessInsertions:
-    """Make the cells of worker number `worker`; they all play one of the experiment's parts.
+    """Make the cells of worker number `worker`; all play the same part of the experiment.
 
-    A training that goes on after `steps` steps draws other episodes than it began with.
+    A training that goes on after `steps` steps draws other episodes than at its beginning.
     """
     task, algorithm = experiment.task, experiment.algorithm
     part = task.parts[worker % len(task.parts)]

@@ -1,4 +1,4 @@
-"""The report: what was measured, beside the paper, as one HTML page and as Markdown with pictures.
+"""The report: results beside the paper's, as one HTML page and as Markdown with pictures.
 
-It reads results, learning curves and the paper's figures, and runs nothing.
+It reads results, learning curves and the paper's figures, and plays nothing.
 """

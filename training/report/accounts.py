@@ -1,20 +1,20 @@
-"""How a policy was trained, from its contract's provenance: in words where `export` wrote it, else as it stands."""
+"""The training of a policy, told from its contract's provenance: in words if `export` wrote it, else as it stands."""
 
 from collections.abc import Iterator, Mapping
 
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
-from training.report.document import Block, Paragraph, Table
+from training.report.document import Paragraph, ReportBlock, Table
 from training.report.measured import commit_name, duration, percent
 
 
-class Section(BaseModel):
-    """What is read of a part of an account; whatever else it says is left out."""
+class AccountSection(BaseModel):
+    """The fields of an account that are read; any other field is ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
 
-class Task(Section):
+class TrainedTask(AccountSection):
     parts: tuple[str, ...]
     clearance_mm: tuple[float, float]
     conditions: str
@@ -23,27 +23,27 @@ class Task(Section):
     force_ceiling_n: float
 
 
-class Algorithm(Section):
+class TrainedAlgorithm(AccountSection):
     memory: str
     steps: int
     cells: int
 
 
-class Experiment(Section):
+class TrainedExperiment(AccountSection):
     name: str
     title: str
-    task: Task
-    algorithm: Algorithm
+    task: TrainedTask
+    algorithm: TrainedAlgorithm
     start_from: str | None = None
 
 
-class Beginning(Section):
+class Beginning(AccountSection):
     """The weights that a training began with.
 
     Attributes:
-        file: that they were in.
-        experiment: that they are of, where that is known.
-        steps: of that training after which they were kept.
+        file: name of the file that held them.
+        experiment: experiment that trained them; None: not known.
+        steps: environment steps of that training; None: not known.
     """
 
     file: str
@@ -51,7 +51,7 @@ class Beginning(Section):
     steps: int | None = None
 
 
-class Session(Section):
+class TrainingSession(AccountSection):
     steps: int
     began: str
     commit: str | None
@@ -59,7 +59,7 @@ class Session(Section):
     began_with: Beginning | None = None
 
 
-class Validation(Section):
+class ValidationRate(AccountSection):
     part: str
     clearance_m: float
     conditions: str
@@ -67,24 +67,24 @@ class Validation(Section):
     successes: int
 
 
-class Account(Section):
-    """What `dsl-assembly export` writes into a contract.
+class Account(AccountSection):
+    """The provenance that `dsl-assembly export` writes into a contract.
 
     Attributes:
-        experiment: that was trained.
-        seed: of network, exploration and tasks.
-        sessions: of the training.
+        experiment: experiment that was trained.
+        seed: seed of network, exploration and tasks.
+        sessions: sessions of the training.
         steps: environment steps after which these weights were kept.
         elapsed_s: host time until then; None: not known.
-        validation: for which they were kept; empty: not known.
+        validation: rates for which they were kept; empty: not known.
     """
 
-    experiment: Experiment
+    experiment: TrainedExperiment
     seed: int
-    sessions: tuple[Session, ...]
+    sessions: tuple[TrainingSession, ...]
     steps: int
     elapsed_s: float | None = None
-    validation: tuple[Validation, ...] = ()
+    validation: tuple[ValidationRate, ...] = ()
 
     @property
     def began_with(self) -> str | None:
@@ -104,7 +104,7 @@ def account(provenance: Mapping[str, JsonValue]) -> Account | None:
         return None
 
 
-def told(provenance: Mapping[str, JsonValue]) -> Iterator[Block]:
+def told(provenance: Mapping[str, JsonValue]) -> Iterator[ReportBlock]:
     """Say how a policy was trained."""
     known = account(provenance)
     if known is not None:
@@ -115,7 +115,7 @@ def told(provenance: Mapping[str, JsonValue]) -> Iterator[Block]:
         yield Paragraph("The file does not say.")
 
 
-def _in_words(known: Account) -> Iterator[Block]:
+def _in_words(known: Account) -> Iterator[ReportBlock]:
     experiment, task = known.experiment, known.experiment.task
     low, high = task.clearance_mm
     began = f", begun with weights of {known.began_with}" if known.began_with else ""
@@ -123,9 +123,10 @@ def _in_words(known: Account) -> Iterator[Block]:
     plant = "randomised" if task.randomise_plant else "nominal"
     yield Paragraph(
         f"Experiment `{experiment.name}` ({_escaped(experiment.title)}), seed {known.seed}{began}. "
-        f"Trained on {', '.join(task.parts)} at {low:g} to {high:g} mm per face, conditions `{task.conditions}`, plant "
-        f"{plant}, reward `{task.reward}`, ceiling {task.force_ceiling_n:g} N; memory `{experiment.algorithm.memory}`, "
-        f"{experiment.algorithm.cells} cells. The weights are those after {known.steps / 1e6:.2f} of "
+        f"Trained on {', '.join(task.parts)} at {low:g} to {high:g} mm per face, in the conditions "
+        f"`{task.conditions}`, on a {plant} plant. The reward is `{task.reward}`, the force ceiling "
+        f"{task.force_ceiling_n:g} N, the memory `{experiment.algorithm.memory}`; {experiment.algorithm.cells} cells "
+        f"ran together. The weights are those after {known.steps / 1e6:.2f} of "
         f"{experiment.algorithm.steps / 1e6:.2f} million steps{spent} of that experiment."
     )
     if known.validation:
@@ -135,7 +136,7 @@ def _in_words(known: Account) -> Iterator[Block]:
             for v in known.validation
         ]
         yield Paragraph(
-            "They were chosen by these rates, on seeds apart from the tests', and the choice flatters them: "
+            "The weights were chosen by these rates, on other seeds than the tests'. The choice flatters the rates: "
             f"{'; '.join(rates)}."
         )
     yield Table(
@@ -148,7 +149,7 @@ def _in_words(known: Account) -> Iterator[Block]:
 
 
 def _flat(values: Mapping[str, JsonValue], path: str = "") -> Iterator[tuple[str, str]]:
-    """Every plain value by its path; the plain values of an inner object together."""
+    """Yield every plain value by its path; the plain values of an inner object together."""
     plain = {name: _plain(value) for name, value in values.items() if not isinstance(value, dict)}
     if path and plain:
         yield path, ", ".join(f"{name} {text}" for name, text in plain.items())
@@ -170,5 +171,5 @@ def _plain(value: JsonValue) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Text from a file, so that it stays within its cell."""
+    """Escape text from a file so that it stays within its table cell."""
     return text.replace("|", "\\|").replace("\n", " ")

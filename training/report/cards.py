@@ -1,6 +1,6 @@
-"""Model cards: what every policy file is for, does and was measured to do, from its contract and its results alone.
+"""Model cards: a page that says of every policy file what it is for, what it does and how well.
 
-A sentence that neither of them can say is in `training/report/cards.toml`.
+The cards are written from the contracts and the results. Use and known weakness of a model are in `cards.toml`.
 """
 
 import math
@@ -19,8 +19,8 @@ from service.policy.observation import ENTRIES, Need
 from training import files
 from training.evaluation.results import Block as Measurement
 from training.evaluation.results import Results, ResultsError
-from training.report import accounts, paper
-from training.report.document import Block, Document, Heading, Judged, Paragraph, Table
+from training.report import accounts, pages, paper
+from training.report.document import Document, Heading, Judged, Paragraph, ReportBlock, Table
 from training.report.measured import NOT_MEASURED, Measured, commit_name, interval, mean_steps, peaks, percent
 from training.report.own_chapters import THROUGH
 from wire.limits import LockMode
@@ -31,7 +31,7 @@ PAGE = "models.md"
 GLANCE_MM = (1.33, 0.33)
 """Clearances per face of the first table: the paper's two gaps."""
 USUAL_LOCKS: tuple[LockMode, ...] = ("paper",)
-"""Those that a recipe runs unless it says otherwise."""
+"""Locks that a recipe runs without asking for them by `allow_lock`."""
 
 MODES = {
     "VFTM": "knows hole and contact",
@@ -51,7 +51,7 @@ NEEDS = {
 
 
 class Note(BaseModel):
-    """What only a person can say of a model."""
+    """The part of a card that a person writes."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -67,12 +67,12 @@ class Card:
     """A policy file with what is known of it.
 
     Attributes:
-        name: of the file, without its ending.
-        size_bytes: of the file.
-        sha256: of the file.
-        contract: in the file.
-        results: of this very file; None: there are none.
-        note: what only a person can say.
+        name: name of the file without its ending.
+        size_bytes: size of the file.
+        sha256: digest of the file.
+        contract: read from the file.
+        results: measured with this very file; None: there are none.
+        note: written by a person.
     """
 
     name: str
@@ -84,7 +84,7 @@ class Card:
 
     @property
     def needs(self) -> list[str]:
-        """What a cell must have to run it."""
+        """Equipment that a cell must have to run it."""
         needed = {need for entry in self.contract.observation for need in ENTRIES[entry.name].needs}
         if self.contract.dsl.mode != "off":
             needed.add(Need.FORCE_TORQUE)
@@ -99,13 +99,13 @@ class Card:
 
     @property
     def recorded(self) -> list[EvaluationFigure]:
-        """Figures in the file that do not follow from its results."""
+        """Evaluation figures in the file that its results do not confirm."""
         known = [block.figure() for block in self.blocks]
         return [figure for figure in self.contract.evaluation if figure not in known]
 
 
 def notes() -> dict[str, Note]:
-    """Read `training/report/cards.toml`: notes by the name of the model's file."""
+    """Read `cards.toml`: notes by the name of the model's file."""
     document = tomllib.loads(Path(paper.__file__).with_name("cards.toml").read_text())
     return {name: Note.model_validate(note) for name, note in document.items()}
 
@@ -147,28 +147,27 @@ def write(cards: Sequence[Card], folder: Path) -> Path:
 
 
 def document(cards: Sequence[Card]) -> Document:
-    """The page of all cards: a table of them, and a section for each."""
+    """Return the page of all cards: a table of them, and a section for each."""
     return Document(TITLE, [*_glance(cards), *(block for card in cards for block in _section(card))])
 
 
-def _glance(cards: Sequence[Card]) -> Iterator[Block]:
+def _glance(cards: Sequence[Card]) -> Iterator[ReportBlock]:
     size = sum(card.size_bytes for card in cards) / 1e3
     yield Paragraph(
-        f"{len(cards)} policies, {size:.0f} kB in all. `dsl-assembly report` writes this page from each file's "
-        "contract ([policy-contract.md](reference/policy-contract.md)) and from `results/`, and says nothing that they "
-        "do not say, but for the use and the known weakness of a model, which are in "
-        "`training/report/cards.toml`. Results of another file of the same name do not count."
+        f"The project ships {len(cards)} policies, {size:.0f} kB in all. `dsl-assembly report` writes this page from "
+        f"the contract in each file ([policy contract]({pages.POLICY_CONTRACT})) and from `results/`. Use and "
+        "known weakness of a model are in `training/report/cards.toml`. Only results of the very file count."
     )
     yield Paragraph(
-        "All results are from simulation. Policies are deterministic; clearances are per face; intervals are 95 % "
-        "Wilson intervals; peak force is the largest resultant over every 2 ms sample of an episode. "
-        "[conditions.md](reference/conditions.md) has the distributions behind the names of conditions, "
-        "[results.md](results.md) the comparison with the paper."
+        "All results are from simulation. Policies are deterministic. Clearances are per face. Intervals are 95 % "
+        "Wilson intervals. Peak force is the largest resultant over every 2 ms sample of an episode. "
+        f"[Conditions]({pages.CONDITIONS}) describes the named conditions. "
+        f"[Results]({pages.RESULTS}) compares the policies with the paper."
     )
     yield Heading("All models")
     yield Paragraph(
-        "Success: of the first of its parts, under its own lock, in the conditions `standard` (FTM: `search`), in the "
-        "batched environment."
+        "Success is that of the first of a policy's parts, under its own lock, in the conditions `standard` (FTM: "
+        "`search`), in the batched environment."
     )
     header = ["model", "mode", "lock", "parts", "clearance, mm", "memory", "kB"]
     yield Table([*header, *(f"success at {level:g} mm" for level in GLANCE_MM)], [_glance_row(card) for card in cards])
@@ -189,7 +188,7 @@ def _glance_row(card: Card) -> list[str | Judged]:
 
 
 def _success(card: Card, clearance_mm: float) -> str:
-    """Success at a clearance by the results, else by the file itself."""
+    """Return the success at a clearance by the results, or else by the file itself."""
     part, clearance_m = cast(Part, card.contract.parts[0]), paper.metres(clearance_mm)
     if card.results is not None:
         block = Measured({card.name: card.results}, ()).block(card.name, clearance_mm, part)
@@ -202,7 +201,7 @@ def _success(card: Card, clearance_mm: float) -> str:
     return NOT_MEASURED
 
 
-def _section(card: Card) -> Iterator[Block]:
+def _section(card: Card) -> Iterator[ReportBlock]:
     yield Heading(card.name)
     yield from _use(card)
     yield Heading("What it observes and does", 3)
@@ -219,28 +218,28 @@ def _section(card: Card) -> Iterator[Block]:
     yield Paragraph(f"File: `{card.name}.onnx`{renamed}, {card.size_bytes} bytes, SHA-256 `{card.sha256}`.")
 
 
-def _use(card: Card) -> Iterator[Block]:
+def _use(card: Card) -> Iterator[ReportBlock]:
     contract = card.contract
     if card.note.use:
         yield Paragraph(card.note.use)
     cell = f" in a cell with {' and '.join(card.needs)}" if card.needs else ""
     text = (
         f"**For** {', '.join(contract.parts)} at {_span_mm(contract.clearance_m)} mm{cell}. "
-        "**Not for** other parts or clearances, nor a cell without what it needs: a cell that knows of it refuses."
+        "**Not for** other parts or clearances, nor for a cell that lacks what it needs: such a cell refuses it."
     )
     if contract.dsl.mode not in USUAL_LOCKS:
-        text += f' Nor for a recipe that does not ask for its lock by `allow_lock = ["{contract.dsl.mode}"]`.'
+        text += f' The recipe must ask for its lock by `allow_lock = ["{contract.dsl.mode}"]`.'
     yield Paragraph(text)
 
 
-def _behaviour(contract: PolicyContract) -> Iterator[Block]:
+def _behaviour(contract: PolicyContract) -> Iterator[ReportBlock]:
     felt = contract.wrench_window_ticks * contract.tick_s * 1e3
     memory = (
         f"It has a recurrent memory of {contract.hidden_size} numbers" if contract.hidden_size else "It has no memory"
     )
     yield Paragraph(
         f"Mode {contract.mode}: it {MODES[contract.mode]}. {memory}; it is given {contract.observation_size} numbers. "
-        f"Force and torque, where it is given them, are of the newest {felt:g} ms of a step."
+        f"Force and torque, where it is given them, come from the newest {felt:g} ms of a step."
     )
     yield Table(
         ["it observes", "unit", "axes", "frames", "meaning"],
@@ -266,7 +265,7 @@ def _move(name: str, limit: float, frame: str) -> str:
     return f"`{name}` up to {limit * 1e3:g} mm{axes}"
 
 
-def _limits(contract: PolicyContract) -> Iterator[Block]:
+def _limits(contract: PolicyContract) -> Iterator[ReportBlock]:
     lock, law = contract.dsl, contract.compliance
     text = f"The lock `{lock.mode}`: {LOCKS[lock.mode]}."
     if lock.mode != "off":
@@ -287,7 +286,7 @@ def _limits(contract: PolicyContract) -> Iterator[Block]:
     )
 
 
-def _measured(card: Card) -> Iterator[Block]:
+def _measured(card: Card) -> Iterator[ReportBlock]:
     if not card.blocks and not card.recorded:
         yield Paragraph("Not measured.")
     if card.blocks:
@@ -304,9 +303,7 @@ def _measured(card: Card) -> Iterator[Block]:
             [*header, "peak force, median / p99 / max, N", "faults"], [_block_row(block) for block in card.blocks]
         )
     if card.recorded:
-        yield Paragraph(
-            "Recorded in the file, which names neither part, lock and ceiling nor the version that was measured:"
-        )
+        yield Paragraph("Recorded in the file, which names neither part, lock and ceiling nor the measured version:")
         yield Table(
             ["clearance", "conditions", "success", "peak force, median / max, N"],
             [
@@ -377,5 +374,5 @@ def _span_mm(clearance_m: tuple[float, float]) -> str:
 
 
 def _github_anchor(text: str) -> str:
-    """Where a heading is found on a page of Markdown."""
+    """Return the anchor of a heading on a page of Markdown."""
     return re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-")

@@ -1,4 +1,4 @@
-"""Learning curves: what the folders of trainings say, thinned and kept beside the results for the report."""
+"""Learning curves: read from the folders of trainings, thinned, and kept beside the results for the report."""
 
 import json
 from collections.abc import Iterator
@@ -13,27 +13,27 @@ from training import files
 from training.evaluation.results import ResultsError
 
 FOLDER = "curves"
-"""In the folder of the results."""
+"""Folder of the curves within the folder of the results."""
 MOST_POINTS = 200
-"""Of the training's own figures, per run."""
+"""Largest number of the training's own figures kept per training."""
 
 
-class Section(BaseModel):
+class CurveSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Point(Section):
+class CurvePoint(CurveSection):
     """One evaluation as the training went on: deterministic policy, the validation's seeds.
 
     Attributes:
         steps: environment steps until then.
         elapsed_s: host time until then, evaluations included.
-        clearance_mm: per face.
+        clearance_mm: clearance per face.
         part: peg and hole.
         conditions: distributions of its episodes.
-        episodes: that the rate is of.
-        success: rate.
-        return_mean: of the episodes' returns, in the experiment's own reward.
+        episodes: number of episodes.
+        success: success rate.
+        return_mean: mean return, in the experiment's own reward.
     """
 
     steps: int
@@ -46,20 +46,20 @@ class Point(Section):
     return_mean: float
 
 
-class Curve(Section):
+class Curve(CurveSection):
     """One training.
 
     Attributes:
-        experiment: its name.
-        seed: of network, exploration and tasks.
-        mode: what the policy observes.
+        experiment: name of the experiment.
+        seed: seed of network, exploration and tasks.
+        mode: observation mode of the policy.
         start_from: experiment, or file, whose weights it began with; None: it began from nothing.
-        reward: that returns are sums of.
+        reward: reward whose sums are the returns.
         machine: processor and cores of its last session.
-        commit: likewise.
+        commit: commit of its last session.
         steps: environment steps in all.
         elapsed_s: host time in all.
-        evaluations: in order.
+        evaluations: evaluations in order.
         rollouts: steps, and success while exploring, of at most `MOST_POINTS` updates.
     """
 
@@ -72,23 +72,23 @@ class Curve(Section):
     commit: str | None
     steps: int
     elapsed_s: float
-    evaluations: tuple[Point, ...]
+    evaluations: tuple[CurvePoint, ...]
     rollouts: tuple[tuple[int, float], ...]
 
     @property
     def label(self) -> str:
-        """Its name, and what it began with: steps and time before that are not in its own."""
+        """Name of the experiment, and the weights it began with, whose steps and time it does not include."""
         return f"`{self.experiment}`" + (f", after `{self.start_from}`" if self.start_from else "")
 
     @property
     def length(self) -> tuple[int, int]:
-        """Steps and evaluations: of two curves of one training the larger holds more."""
+        """Steps and evaluations; of two curves of one training the larger pair holds more."""
         return self.steps, len(self.evaluations)
 
-    def reached(self, success: float, clearance_mm: float) -> Point | None:
-        """The first evaluation of the triangle at a clearance with at least that success; None if there was none.
+    def reached(self, success: float, clearance_mm: float) -> CurvePoint | None:
+        """Return the first evaluation of the triangle at a clearance with at least that success; None if there is none.
 
-        One alone may be chance: the next one, if there is one, must have it too.
+        One evaluation alone may be chance, so the next one, if there is one, must reach it too.
         """
         judged = [point for point in self.evaluations if point.part == "tr" and point.clearance_mm == clearance_mm]
         pairs = zip_longest(judged, judged[1:])
@@ -111,7 +111,7 @@ class Curve(Section):
         experiment, session = account["experiment"], account["sessions"][-1]
         began_with = account["sessions"][0].get("began_with", {})
         evaluations = tuple(
-            Point(
+            CurvePoint(
                 steps=record["steps"],
                 elapsed_s=record["elapsed_s"],
                 clearance_mm=round(record["clearance_m"] * 1e3, 3),
@@ -144,10 +144,10 @@ def collect(runs: Path, results: Path) -> int:
     """Keep a curve of each training under `runs` beside the results, unless a longer one of it is there.
 
     Returns:
-        How many are new or longer than they were.
+        Number of curves that are new or longer than before.
 
     Raises:
-        ResultsError: a file in the place of a curve that holds none.
+        ResultsError: a file where a curve belongs holds none.
     """
     written = 0
     for directory in sorted(runs.glob("*/seed-*")):
@@ -165,7 +165,7 @@ def load(results: Path) -> list[Curve]:
     """Read the curves that are kept beside the results.
 
     Raises:
-        ResultsError: a file that holds none.
+        ResultsError: a file holds none.
     """
     return [_load(path) for path in sorted((results / FOLDER).glob("*.json"))]
 
@@ -178,7 +178,7 @@ def _load(path: Path) -> Curve:
 
 
 def _records(path: Path) -> Iterator[dict[str, Any]]:
-    """Lines of a progress file; one that a training is just writing is left out."""
+    """Yield the lines of a progress file, without one that a training is just writing."""
     if path.is_file():
         for line in path.read_text().split("\n")[:-1]:
             yield json.loads(line)

@@ -1,6 +1,6 @@
 """A document of headings, paragraphs, tables and pictures, as one HTML page and as Markdown.
 
-Text is Markdown of which only `**bold**`, `` `code` `` and `[text](address)` mean something.
+Its text is Markdown limited to `**bold**`, `` `code` `` and `[text](address)`.
 """
 
 import html
@@ -12,7 +12,7 @@ from pathlib import Path
 from string import Template
 from typing import Literal
 
-Verdict = Literal["good", "bad"]
+Judgement = Literal["good", "bad"]
 _FIRST = ' class="first"'
 PROSE = 60
 """Characters from which a cell's text may take several lines."""
@@ -25,7 +25,7 @@ _MARKS = (
 
 @dataclass(frozen=True, slots=True)
 class Heading:
-    """Of level 2 or 3; the title of the document has level 1."""
+    """A heading of level 2 or 3; the title of the document has level 1."""
 
     text: str
     level: Literal[2, 3] = 2
@@ -38,10 +38,10 @@ class Paragraph:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """Text of a cell that says how something compares."""
+    """Text of a cell that is shown as good or bad."""
 
     text: str
-    verdict: Verdict
+    verdict: Judgement
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +49,10 @@ class Table:
     """Columns and rows.
 
     Attributes:
-        header: of the columns.
-        rows: a cell per column.
-        groups: rows that begin a group, from 0; for the eye.
-        folded: hidden on the page until it is asked for.
+        header: titles of the columns.
+        rows: rows with a cell per column.
+        groups: rows, counted from 0, above which the page draws a line.
+        folded: summary under which the page hides the table; empty: the table shows.
     """
 
     header: Sequence[str]
@@ -63,12 +63,12 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """An SVG with what it shows.
+    """An SVG with a caption.
 
     Attributes:
-        name: of its file.
-        svg: its text.
-        caption: what is seen, for those who do not see it too.
+        name: name of its file without the ending.
+        svg: text of the SVG.
+        caption: description, also for readers who do not see the picture.
     """
 
     name: str
@@ -76,20 +76,20 @@ class Picture:
     caption: str
 
 
-Block = Heading | Paragraph | Table | Picture
+ReportBlock = Heading | Paragraph | Table | Picture
 
 
 @dataclass(frozen=True, slots=True)
 class Document:
     title: str
-    blocks: Sequence[Block]
+    blocks: Sequence[ReportBlock]
 
     @property
     def pictures(self) -> list[Picture]:
         return [block for block in self.blocks if isinstance(block, Picture)]
 
     def to_html(self) -> str:
-        """One page with everything in it."""
+        """Return one page with everything in it."""
         page = Template((files("training.report") / "page.html").read_text())
         contents = "".join(
             f'<li><a href="#{_anchor(block.text)}">{_rich(block.text)}</a></li>'
@@ -100,12 +100,12 @@ class Document:
         return page.substitute(title=html.escape(self.title), contents=contents, body=body)
 
     def to_markdown(self, pictures: Path) -> str:
-        """Markdown that finds the pictures, as SVG files, in the folder `pictures`, seen from it."""
+        """Return Markdown that finds the pictures, as SVG files, in the folder `pictures` relative to the page."""
         parts = [f"# {self.title}", *(_markdown(block, pictures) for block in self.blocks)]
         return "\n\n".join(parts) + "\n"
 
 
-def _html(block: Block) -> str:
+def _html(block: ReportBlock) -> str:
     match block:
         case Heading(text, level):
             return f'<h{level} id="{_anchor(text)}">{_rich(text)}</h{level}>'
@@ -130,7 +130,7 @@ def _cell(cell: str | Judged) -> str:
     return f'<td class="prose">{_rich(cell)}</td>' if len(cell) > PROSE else f"<td>{_rich(cell)}</td>"
 
 
-def _markdown(block: Block, pictures: Path) -> str:
+def _markdown(block: ReportBlock, pictures: Path) -> str:
     match block:
         case Heading(text, level):
             return f"{'#' * level} {text}"

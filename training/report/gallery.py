@@ -1,6 +1,6 @@
-"""Insertions to look at: a policy's episode as an animation and as a strip of six frames, one per part.
+"""Pictures of insertions: a policy's episode as an animation and as a strip of six frames, one per part.
 
-Drawn by `sim_backend.world.rendering`, which needs EGL; world, arm and policy are those of every evaluation.
+`sim_backend.world.rendering` draws them and needs EGL. World, arm and policy are those of every evaluation.
 """
 
 import math
@@ -20,20 +20,19 @@ from training.evaluation.evaluate import evaluate
 from wire.task import Conditions, Part, Task
 
 SEATED_DEPTH_M = 15e-3
-"""An insertion is shown until the peg is this deep: the 4 mm that end an episode hardly show."""
+"""Depth until which an insertion is shown: the 4 mm that end an episode are hardly visible."""
 FRAME_SIZE = (400, 300)
 """Width and height of a frame of the animation, pixels; the strip has two rows of three."""
 STRIP_COLUMNS, STRIP_ROWS = 3, 2
 COLOURS = 96
 HELD_MS = 1500
-"""How long the last frame of an animation stands."""
+"""Duration of the last frame of an animation."""
 _INK, _PAPER = (20, 22, 24), (255, 255, 255)
 _PAGE = """# Insertions
 
-One test episode per part, the insertion of median length among the test's first, drawn from the simulated cell and
-shown in real time; policy: {policies}. The line below a frame tells the time, the depth of the peg's bottom below the
-hole's mouth and the largest force until then.
-`dsl-assembly gallery MODEL` draws this page anew.
+Each film shows one test episode in the simulated cell, in real time; policy: {policies}. It is the insertion of median
+length among the first test episodes with its part. The line below a frame gives the time, the depth of the peg's bottom
+below the hole's mouth and the largest force until then. `dsl-assembly gallery MODEL` draws this page anew.
 
 | part | clearance per face | conditions, seed | inserted after | peak force | |
 |---|---|---|---|---|---|
@@ -43,7 +42,7 @@ hole's mouth and the largest force until then.
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One frame: what the camera shows after `time_s`, the depth of the peg and the peak force until then."""
+    """One frame: the camera's picture after `time_s`, the depth of the peg and the peak force until then."""
 
     picture: npt.NDArray[np.uint8]
     time_s: float
@@ -56,11 +55,11 @@ class Film:
     """An episode in pictures.
 
     Attributes:
-        task: that was played.
-        policy: its name.
-        period_s: from shot to shot.
-        shots: the first before the first step.
-        inserted_s: when the episode ended with the peg in; None: it did not.
+        task: task of the episode.
+        policy: name of the policy.
+        period_s: time from shot to shot.
+        shots: the shots; the first is from before the first step.
+        inserted_s: time at which the episode ended with the peg in; None: it did not.
     """
 
     task: Task
@@ -71,7 +70,7 @@ class Film:
 
 
 def typical_success(policy: Policy, part: Part, clearance_m: float, conditions: Conditions, seeds: int) -> Task | None:
-    """Return the insertion of median length among the first `seeds` test episodes; None: none of them inserts."""
+    """Return the insertion of median length among the first `seeds` test episodes; None if none of them inserts."""
     played = evaluate(policy, clearance_m, seeds, part=part, conditions=conditions, cells=seeds, threads=1)
     inserted = sorted((episode.steps, episode.seed) for episode in played.episodes if episode.success)
     if not inserted:
@@ -82,7 +81,7 @@ def typical_success(policy: Policy, part: Part, clearance_m: float, conditions: 
 def film(policy: Policy, task: Task, size: tuple[int, int] = FRAME_SIZE) -> Film:
     """Play an episode and draw it after every policy step; a success is played on until the peg is seated.
 
-    The camera looks at the hole, from where a gripper that is turned as the hole hides neither.
+    The camera looks at the hole from a side where a gripper turned like the hole hides neither peg nor hole.
 
     Raises:
         sim_backend.world.rendering.RenderingUnavailableError: this machine cannot draw; the text says what to install.
@@ -114,9 +113,9 @@ def film(policy: Policy, task: Task, size: tuple[int, int] = FRAME_SIZE) -> Film
 
 
 def write_animation(path: Path, film: Film) -> None:
-    """Write a film as an animated GIF that runs in real time, over and over."""
+    """Write a film as an animated GIF that loops in real time."""
     frames = [_captioned(shot, film) for shot in film.shots]
-    # one palette for all: it does not flicker, and what stands still costs nothing
+    # one palette for all frames avoids flicker and keeps the file small
     palette = frames[len(frames) // 2].quantize(COLOURS, Image.Quantize.MEDIANCUT)
     drawn = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     period_ms = round(1e3 * film.period_s)
@@ -158,7 +157,7 @@ def _facing(world: World) -> View:
 
 
 def _captioned(shot: Shot, film: Film) -> Image.Image:
-    """A frame with a line below it: time, depth, peak force so far."""
+    """Return a frame with a line below it: time, depth, peak force so far."""
     picture = Image.fromarray(shot.picture)
     bar = max(18, picture.height // 14)
     image = Image.new("RGB", (picture.width, picture.height + bar), _PAPER)

@@ -1,4 +1,4 @@
-"""What there is to report: results by name, and how a figure is put into words."""
+"""Results by name, and figures as text."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from wire.task import Conditions, Part
 
 NOT_MEASURED = "not measured"
 EPISODES = 500
-"""The paper's count of tests per figure of Table I; a figure from fewer says so."""
+"""Number of tests per figure of the paper's Table I; a figure from fewer names its count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,8 +24,8 @@ class Measured:
     """Everything that was measured.
 
     Attributes:
-        results: by name of the policy's file.
-        curves: of trainings.
+        results: results by name of their file.
+        curves: learning curves.
     """
 
     results: Mapping[str, Results]
@@ -33,10 +33,10 @@ class Measured:
 
     @classmethod
     def read(cls, folder: Path) -> "Measured":
-        """Read a folder of results; of a measurement that was broken off, the episodes whose seeds follow one another.
+        """Read a folder of results; a measurement that was broken off counts up to its first missing seed.
 
         Raises:
-            ResultsError: a file that does not hold what it should.
+            ResultsError: a file does not hold what it should.
         """
         results = {path.stem: Results.load(path).unbroken() for path in sorted(folder.glob("*.json"))}
         return cls(results, tuple(curves.load(folder)))
@@ -51,15 +51,15 @@ class Measured:
         lock: LockMode | None = None,
         through: Through = "environment",
     ) -> Block | None:
-        """The measurement of a policy on test seeds, at the standard ceiling, returns the paper's; or None.
+        """Return the measurement of a policy on test seeds, at the standard ceiling, in the paper's reward; or None.
 
         Args:
-            name: of its results.
-            clearance_mm: per face.
+            name: name of its results.
+            clearance_mm: clearance per face.
             part: peg and hole.
-            conditions: None: the standard ones of its mode.
-            lock: None: its own.
-            through: what played.
+            conditions: distributions of the episodes; None: the standard ones of its mode.
+            lock: lock that it ran with; None: its own.
+            through: player of the episodes.
         """
         results = self.results.get(name)
         if results is None:
@@ -78,17 +78,17 @@ class Measured:
 
 
 def percent(share: float) -> str:
-    """A rate as text."""
+    """Return a rate as text."""
     return f"{share:.1%}".replace("%", " %")
 
 
 def printed(share: float) -> str:
-    """A rate with the digits that the paper prints."""
+    """Return a rate with the digits that the paper prints."""
     return f"{100 * share:.2f} %"
 
 
 def success(block: Block | None) -> str:
-    """A success rate with its interval, and its count where that is less than the paper's."""
+    """Return a success rate with its interval, and its count if that is less than the paper's."""
     if block is None:
         return NOT_MEASURED
     few = f", n = {len(block.episodes)}" if len(block.episodes) < EPISODES else ""
@@ -96,18 +96,18 @@ def success(block: Block | None) -> str:
 
 
 def interval(low: float, high: float) -> str:
-    """An interval as text."""
+    """Return an interval as text."""
     return f"({100 * low:.1f}–{100 * high:.1f})"
 
 
 def deep_success(block: Block | None) -> str:
-    """The rate at which the policy, left on, went to the depth of the author's code."""
+    """Return the rate at which the policy, left on, went to the depth of the author's code."""
     deep = [] if block is None else [e.success_10mm for e in block.episodes if e.success_10mm is not None]
     return percent(float(np.mean(deep))) if deep else "–"
 
 
 def peaks(block: Block | None) -> str:
-    """Median, 99th percentile and maximum of the peak force, of the episodes in which the policy had a step."""
+    """Return median, 99th percentile and maximum of the peak force, over episodes with a step of the policy."""
     played = () if block is None else tuple(episode for episode in block.episodes if episode.steps)
     if block is None or not played:
         return "–"
@@ -115,28 +115,28 @@ def peaks(block: Block | None) -> str:
 
 
 def mean_steps(block: Block | None) -> str:
-    """Steps of the policy per episode."""
+    """Return the mean steps of the policy per episode."""
     return "–" if block is None else f"{np.mean([e.steps for e in block.episodes]):.0f}"
 
 
 def returns(block: Block | None) -> tuple[str, str]:
-    """Mean and variance of the return."""
+    """Return mean and variance of the return."""
     found = [] if block is None else [e.episode_return for e in block.episodes if e.episode_return is not None]
     return (signed(float(np.mean(found))), signed(float(np.var(found)))) if found else ("–", "–")
 
 
 def signed(value: float) -> str:
-    """A return as text."""
+    """Return a signed number as text."""
     return f"{value:.4f}".replace("-", "−")
 
 
 def commit_name(commit: str | None) -> str:
-    """A commit, shortened, with its mark."""
+    """Return a commit, shortened, with its mark."""
     return "unknown" if commit is None else commit[:9] + (DIRTY if commit.endswith(DIRTY) else "")
 
 
 def duration(seconds: float) -> str:
-    """A wall-clock time as text."""
+    """Return a wall-clock time as text."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)

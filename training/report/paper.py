@@ -1,6 +1,6 @@
-"""What is compared with the paper: its tables, the levels of our own, and which results and runs stand in each row.
+"""The comparison with the paper: its tables, our own levels, and the results and runs of each row.
 
-The figures themselves are in `paper.toml`; this is their shape.
+`paper.toml` holds the figures. This module holds their types.
 """
 
 import tomllib
@@ -19,19 +19,19 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Millimetres = Annotated[float, Field(gt=0)]
 
 
-class Plan(StrEnum):
-    """What one table needs of a policy."""
+class TablePlan(StrEnum):
+    """Cells that one table needs of a policy."""
 
     STRENGTH = "strength"
     TABLE_1 = "table-1"
     TABLE_2 = "table-2"
 
 
-class Section(BaseModel):
+class PaperSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Printed(Section):
+class Printed(PaperSection):
     """One pair of columns of Table I."""
 
     reward: float
@@ -40,22 +40,22 @@ class Printed(Section):
     success_variance: float
 
 
-class Gap(Section):
+class Gap(PaperSection):
     """A gap of Table I by the paper's name, and the clearances that it may stand for: real part, simulated scene."""
 
     name: str
     clearance_mm: tuple[Millimetres, Millimetres]
 
 
-class Row(Section):
+class Table1Row(PaperSection):
     """A row of Table I.
 
     Attributes:
-        name: the paper's.
+        name: the paper's name.
         reproduced: name of our runs of it, one policy per clearance, without the clearance.
         ours: name of our one policy for every clearance.
-        printed: per gap, as far as the paper has it.
-        note: what the reader must know of the printed figures.
+        printed: the paper's figures per gap, as far as it has them.
+        note: remark on the printed figures.
     """
 
     name: str
@@ -65,16 +65,16 @@ class Row(Section):
     note: str = ""
 
     def reproduction(self, clearance_mm: float) -> str:
-        """Name of the experiment that reproduces this row at a clearance."""
+        """Return the name of the experiment that reproduces this row at a clearance."""
         return f"{self.reproduced}-c{round(clearance_mm * 100):03d}"
 
 
-class Table1(Section):
+class Table1(PaperSection):
     gaps: tuple[Gap, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[Table1Row, ...]
 
 
-class Cell(Section):
+class TransferCell(PaperSection):
     """A cell of Table II.
 
     Attributes:
@@ -84,7 +84,7 @@ class Cell(Section):
         printed: success in the table.
         text: success in the running text, where it differs.
         count: successes and tests that give a printed figure.
-        note: on the contradiction.
+        note: remark on the contradiction.
     """
 
     part: Part
@@ -97,57 +97,57 @@ class Cell(Section):
 
     @property
     def larger(self) -> float:
-        """The larger of what table and text say: what has to be beaten."""
+        """Larger figure of table and text, which has to be beaten."""
         return self.printed if self.text is None else max(self.printed, self.text)
 
 
-class Table2(Section):
+class Table2(PaperSection):
     """Table II.
 
     Attributes:
-        results: name of our policy that was trained on the triangle alone, as the paper's.
-        beside: names of others.
-        conditions: of the transfer.
-        usual: conditions that the other parts than the triangle are also played in: shape apart from plant.
-        cells: in the paper's order.
+        results: name of our policy that was trained on the triangle alone, like the paper's.
+        beside: names of other policies.
+        conditions: conditions of the transfer.
+        usual: conditions in which the parts other than the triangle are also played, to tell shape from plant.
+        cells: cells in the paper's order.
     """
 
     results: str
     beside: tuple[str, ...]
     conditions: Conditions
     usual: Conditions
-    cells: tuple[Cell, ...]
+    cells: tuple[TransferCell, ...]
 
     @property
-    def usual_cells(self) -> tuple[Cell, ...]:
-        """What is also played in the usual conditions: not the triangle, which `Strength` has at every level."""
+    def usual_cells(self) -> tuple[TransferCell, ...]:
+        """Cells that are also played in the usual conditions: all but the triangle, which `Strength` covers."""
         return tuple(cell for cell in self.cells if cell.part != "tr")
 
 
-class Level(Section):
-    """A clearance with our target of success, and the paper's success where it has one."""
+class ClearanceLevel(PaperSection):
+    """A clearance with our target of success, and the paper's success if it has one."""
 
     clearance_mm: Millimetres
     target: Share
     paper: Share | None = None
 
 
-class FtmTarget(Section):
+class FtmTarget(PaperSection):
     results: str
     clearance_mm: Millimetres
     target: Share
 
 
-class Strength(Section):
+class Strength(PaperSection):
     """Our own levels.
 
     Attributes:
         results: name of the policy that they are set for.
-        beside: names of others.
-        hardened: conditions that the policy is measured in beside its standard ones.
-        ftm: what the policy without a camera is to reach.
-        peak_force_p99_n: largest 99th percentile of the peak force wanted.
-        levels: in falling order of clearance.
+        beside: names of other policies.
+        hardened: harder conditions in which the policy is also measured.
+        ftm: target of the policy without a camera.
+        peak_force_p99_n: limit for the 99th percentile of the peak force.
+        levels: levels in falling order of clearance.
     """
 
     results: str
@@ -155,10 +155,10 @@ class Strength(Section):
     hardened: Conditions
     ftm: FtmTarget
     peak_force_p99_n: float
-    levels: tuple[Level, ...]
+    levels: tuple[ClearanceLevel, ...]
 
 
-class Locked(Section):
+class Locked(PaperSection):
     """A policy under a lock: its own, unless another one is named."""
 
     name: str
@@ -166,26 +166,26 @@ class Locked(Section):
     lock: LockMode | None = None
 
 
-class Force(Section):
-    """What is compared in force; every row with the first."""
+class Force(PaperSection):
+    """Comparison of forces: every row with the first."""
 
     rows: tuple[Locked, ...]
     clearance_mm: tuple[Millimetres, ...]
 
 
-class CurveRun(Section):
+class CurveRun(PaperSection):
     name: str
     experiment: str
 
 
-class Curves(Section):
+class Curves(PaperSection):
     """A figure of learning curves.
 
     Attributes:
-        title: above it.
-        name: of its file.
-        by_clearance: one curve per clearance of its evaluations; else a run has one, of all of them.
-        runs: their seeds are shown thin, the mean of them thick.
+        title: title above it.
+        name: name of its file.
+        by_clearance: draw one curve per clearance of the evaluations; else one curve per run, over all of them.
+        runs: runs; each seed is drawn thin, their mean thick.
     """
 
     title: str
@@ -194,8 +194,8 @@ class Curves(Section):
     runs: tuple[CurveRun, ...]
 
 
-class Comparison(Section):
-    """All of `paper.toml`."""
+class Comparison(PaperSection):
+    """Contents of `paper.toml`."""
 
     table_1: Table1
     table_2: Table2
@@ -211,22 +211,22 @@ def comparison() -> Comparison:
 
 
 def metres(millimetres: float) -> float:
-    """A clearance in m, the same number wherever it comes from."""
+    """Return a clearance in m, rounded so that it is the same number wherever it comes from."""
     return round(millimetres * 1e-3, 9)
 
 
 def conditions_for(mode: ObservationMode) -> Conditions:
-    """The standard conditions of a mode: FTM, which knows the nominal centre only, has a search domain about it."""
+    """Return the standard conditions of a mode; FTM, which knows only the nominal centre, has a search domain."""
     return "search" if mode == "FTM" else "standard"
 
 
-def cells_of(plan: Plan, mode: ObservationMode) -> list[tuple[Part, float, Conditions]]:
-    """What a plan measures of a policy: part, clearance per face in m, conditions."""
+def cells_of(plan: TablePlan, mode: ObservationMode) -> list[tuple[Part, float, Conditions]]:
+    """Return the cells of a plan: part, clearance per face in m, conditions."""
     everything = comparison()
-    if plan is Plan.TABLE_2:
+    if plan is TablePlan.TABLE_2:
         table = everything.table_2
         return [(cell.part, metres(cell.clearance_mm), table.conditions) for cell in table.cells]
-    if plan is Plan.TABLE_1:
+    if plan is TablePlan.TABLE_1:
         levels = [level for gap in everything.table_1.gaps for level in gap.clearance_mm]
     else:
         levels = [level.clearance_mm for level in everything.strength.levels]
@@ -234,20 +234,20 @@ def cells_of(plan: Plan, mode: ObservationMode) -> list[tuple[Part, float, Condi
 
 
 def reported(name: str, mode: ObservationMode) -> list[tuple[Part, float, Conditions, LockMode | None]]:
-    """What all tables together say of the policy of this name: as `cells_of`, and the lock, None for its own."""
+    """Return the cells of all tables for the policy of this name: as `cells_of`, and the lock, None for its own."""
     everything = comparison()
     strength, transfer = everything.strength, everything.table_2
     rows = everything.table_1.rows
     plans = [
-        (Plan.STRENGTH, name in (strength.results, *strength.beside)),
-        (Plan.TABLE_1, name in [row.ours for row in rows]),
-        (Plan.TABLE_2, name in (transfer.results, *transfer.beside)),
+        (TablePlan.STRENGTH, name in (strength.results, *strength.beside)),
+        (TablePlan.TABLE_1, name in [row.ours for row in rows]),
+        (TablePlan.TABLE_2, name in (transfer.results, *transfer.beside)),
     ]
     found: list[tuple[Part, float, Conditions, LockMode | None]] = [
         (*cell, None) for plan, wanted in plans if wanted for cell in cells_of(plan, mode)
     ]
     if name == strength.results:
-        for part, level, _ in cells_of(Plan.STRENGTH, mode):
+        for part, level, _ in cells_of(TablePlan.STRENGTH, mode):
             found.append((part, level, strength.hardened, None))
     if name in (transfer.results, *transfer.beside):
         for cell in transfer.usual_cells:

@@ -1,4 +1,4 @@
-"""The chapters that stand beside the paper: Table I, both figures, Table II, and where the paper contradicts itself."""
+"""The chapters beside the paper: Table I, both figures, Table II, and where the paper contradicts itself."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -9,8 +9,8 @@ from sim_backend.world.parts import PARTS, proportion
 from training.evaluation.results import Block as Measurement
 from training.evaluation.results import Through, wilson
 from training.report import paper, plots, policies
-from training.report.curves import Curve, Point
-from training.report.document import Block, Heading, Judged, Paragraph, Picture, Table
+from training.report.curves import Curve, CurvePoint
+from training.report.document import Heading, Judged, Paragraph, Picture, ReportBlock, Table
 from training.report.measured import (
     NOT_MEASURED,
     Measured,
@@ -24,25 +24,37 @@ from training.report.measured import (
     signed,
     success,
 )
-from training.report.paper import Cell, Comparison, Gap, Row, Table2
+from training.report.paper import Comparison, Gap, Table1Row, Table2, TransferCell
 
 _HOW: dict[Through, str] = {"environment": "", "zenoh": ", service over Zenoh", "rtde": ", service over RTDE"}
 
 
-def table_1(measured: Measured, comparison: Comparison) -> Iterator[Block]:
-    """Table I: per gap, the paper, our runs of its experiment, and our one policy for every clearance."""
+def table_1(measured: Measured, comparison: Comparison) -> Iterator[ReportBlock]:
+    """Give Table I: per gap, the paper, our runs of its experiment, and our one policy for every clearance."""
     yield Heading("Table I: what is observed, and the lock")
-    differing = _differing(measured, comparison)
-    yield Paragraph(
-        "**Reproduced** is the paper's experiment run by us: its kinds of input, its lock, its reward, 2 M steps (1 M "
-        "at c = 4.0 and 1.0 mm), and a network without memory, one policy per gap, trained and tested at that "
-        "clearance; the weights are those that did best in an evaluation, of one training each, and intervals are over"
-        " test episodes, not over trainings; the entries of the observation, the compliance law and the critic are "
-        "ours. **One policy** is trained over a range of clearances with memory and our reward. Returns are sums of "
-        "equations 1 and 2, lengths in m, at a scale of 1; the paper does not state its scale, so returns compare "
-        "among ours only. Variances are over episodes. FTM plays in the conditions `search`, the others in `standard`."
-        " " + differing
+    yield Table(
+        ["", "reproduced", "one policy"],
+        [
+            ["what it is", "the paper's experiment, run by us", "one policy for every clearance"],
+            ["trained and tested", "at the clearance of its row, one policy per gap", "over a range of clearances"],
+            ["steps", "2 M; 1 M at c = 4.0 and 1.0 mm", "see the last chapter"],
+            ["network", "without memory", "with memory"],
+            ["reward", "the paper's", "ours"],
+            ["kinds of input, lock", "the paper's", "as the row says"],
+            ["entries of the observation, compliance law, critic", "ours", "ours"],
+        ],
     )
+    yield Paragraph(
+        "The weights of a reproduction are those that did best in an evaluation, from one training each. Intervals are "
+        "over test episodes, not over trainings. Variances are over episodes. FTM plays in the conditions `search`, "
+        "the others in `standard`."
+    )
+    yield Paragraph(
+        "Returns are sums of equations 1 and 2, with lengths in m and a scale of 1. The paper does not state its "
+        "scale, so only our own returns can be compared with each other."
+    )
+    for told in _differing(measured, comparison):
+        yield Paragraph(told)
     for index, gap in enumerate(comparison.table_1.gaps):
         real, simulated = gap.clearance_mm
         yield Heading(f"Gap {gap.name}: c = {real:g} mm on the real part, {simulated:g} mm in the simulated scene", 3)
@@ -50,15 +62,16 @@ def table_1(measured: Measured, comparison: Comparison) -> Iterator[Block]:
     yield from _orderings(measured, comparison)
 
 
-def _differing(measured: Measured, comparison: Comparison) -> str:
-    """How training and lock of the rows differ from each other and from the paper's."""
+def _differing(measured: Measured, comparison: Comparison) -> list[str]:
+    """Say how training and lock of the rows differ from each other and from the paper's."""
     rows, levels = comparison.table_1.rows, [level for gap in comparison.table_1.gaps for level in gap.clearance_mm]
     ours = [row.ours for row in rows]
     reproduced = [row.reproduction(level) for row in rows for level in levels]
-    return f"{policies.pressing(measured, ours + reproduced)} {policies.trained(measured, ours)}".strip()
+    told = (policies.pressing(measured, ours + reproduced), policies.trained(measured, ours))
+    return [text for text in told if text]
 
 
-def _gap_table(measured: Measured, rows: Sequence[Row], gap: Gap, index: int) -> Table:
+def _gap_table(measured: Measured, rows: Sequence[Table1Row], gap: Gap, index: int) -> Table:
     lines: list[list[str | Judged]] = []
     groups: set[int] = set()
     for row in rows:
@@ -100,7 +113,7 @@ def _gap_table(measured: Measured, rows: Sequence[Row], gap: Gap, index: int) ->
     return Table(header, lines, frozenset(groups))
 
 
-def _orderings(measured: Measured, comparison: Comparison) -> Iterator[Block]:
+def _orderings(measured: Measured, comparison: Comparison) -> Iterator[ReportBlock]:
     """Say whether the paper's two orderings appear among our runs of its experiments."""
     lines: list[list[str | Judged]] = []
     for clearance in sorted({level for gap in comparison.table_1.gaps for level in gap.clearance_mm}, reverse=True):
@@ -124,12 +137,12 @@ def _in_order(blocks: Sequence[Measurement]) -> Judged:
     return Judged("no", "bad")
 
 
-def learning_curves(measured: Measured, comparison: Comparison) -> Iterator[Block]:
-    """The figures of the paper: success and return of evaluations as training goes on."""
+def learning_curves(measured: Measured, comparison: Comparison) -> Iterator[ReportBlock]:
+    """Draw the figures of the paper: success and return of evaluations as training goes on."""
     yield Heading("Learning curves")
     yield Paragraph(
-        "Evaluations of the deterministic policy on the validation's seeds, which are neither trained nor tested on. "
-        "Thin lines are single seeds, the thick one is their mean."
+        "The deterministic policy is evaluated on the validation's seeds, which are used for neither training nor "
+        "test. Thin lines are single seeds. The thick line is their mean."
     )
     for figure in comparison.curves:
         series: list[tuple[str, list[Curve], float | None]] = []
@@ -161,8 +174,8 @@ def learning_curves(measured: Measured, comparison: Comparison) -> Iterator[Bloc
     yield from _time_to_the_paper(measured, comparison)
 
 
-def _time_to_the_paper(measured: Measured, comparison: Comparison) -> Iterator[Block]:
-    """How long trainings took to the paper's success."""
+def _time_to_the_paper(measured: Measured, comparison: Comparison) -> Iterator[ReportBlock]:
+    """Say how long trainings took to reach the paper's success."""
     yield Heading("How soon the paper's success is reached", 3)
     lines: list[list[str | Judged]] = []
     for level in comparison.strength.levels:
@@ -185,12 +198,14 @@ def _time_to_the_paper(measured: Measured, comparison: Comparison) -> Iterator[B
         yield Paragraph("Not measured.")
         return
     yield Paragraph(
-        "The first of two evaluations of the triangle in a row, or the last one, with at least the success of the "
-        "paper's VFTM-DSL, and the wall-clock until then, evaluations and other work on the machine included; of "
-        "policies that observe what that one did. An evaluation has few episodes, and a training many evaluations: "
-        "such a level is reached by chance sooner than in truth. Where a training began with another one's weights, "
-        "that one's steps and time come on top; those that had the level from the start are not named. The author's "
-        "trainings took 3 to 5 hours for 2 M steps."
+        "A level counts as reached at the first of two evaluations of the triangle in a row, or at the last "
+        "evaluation, with at least the success of the paper's VFTM-DSL. Only policies that observe the same as that "
+        "one are listed. The wall-clock includes evaluations and other work on the machine."
+    )
+    yield Paragraph(
+        "An evaluation has few episodes and a training has many evaluations, so chance reaches such a level too soon. "
+        "Where a training began with the weights of another one, the other's steps and time come on top. Trainings "
+        "that had the level from the start are left out. The author's trainings took 3 to 5 hours for 2 M steps."
     )
     header = [
         "c, conditions",
@@ -206,40 +221,42 @@ def _time_to_the_paper(measured: Measured, comparison: Comparison) -> Iterator[B
     yield Table(header, lines)
 
 
-def _line(name: str, curves: Sequence[Curve], level: float | None, field: str) -> plots.Line:
-    """The evaluations that all seeds have, averaged over what was evaluated at each."""
+def _line(name: str, curves: Sequence[Curve], level: float | None, field: str) -> plots.PlotLine:
+    """Return the evaluations that all seeds have, averaged over what was evaluated at each."""
     every = {point.steps for curve in curves for point in _of(curve, level)}
     steps = sorted(step for step in every if all(any(p.steps == step for p in _of(c, level)) for c in curves))
     rows = [
         [float(np.mean([getattr(p, field) for p in _of(curve, level) if p.steps == step])) for step in steps]
         for curve in curves
     ]
-    return plots.Line(name, steps, rows)
+    return plots.PlotLine(name, steps, rows)
 
 
-def _of(curve: Curve, level: float | None) -> list[Point]:
+def _of(curve: Curve, level: float | None) -> list[CurvePoint]:
     return [point for point in curve.evaluations if level in (None, point.clearance_mm)]
 
 
 def _last(curves: Sequence[Curve], level: float | None) -> str:
-    """The success at the last evaluation that all seeds have, and when that was."""
+    """Say the success at the last evaluation that all seeds have, and its step."""
     line = _line("", curves, level, "success")
     if not line.x:
         return "no evaluation that all have"
     return f"{percent(float(np.mean([row[-1] for row in line.y])))} after {line.x[-1] / 1e6:.2f} M steps"
 
 
-def table_2(measured: Measured, comparison: Comparison) -> Iterator[Block]:
-    """Table II: other shapes, sizes and gaps, on a plant that nobody trained on."""
+def table_2(measured: Measured, comparison: Comparison) -> Iterator[ReportBlock]:
+    """Give Table II: other shapes, sizes and gaps, on a plant that nobody trained on."""
     table = comparison.table_2
     yield Heading("Table II: transfer to other shapes, sizes and another plant")
     others = ", ".join(f"`{name}`" for name in table.beside)
     yield Paragraph(
-        f"`{table.results}` is trained on the triangle alone, as the paper's policy; {others} on all shapes. The "
-        "paper's cells are about 50 tests each on a real arm. Ours are simulated, in the conditions "
-        f"`{table.conditions}`: a plant of its own in friction, stiffness, delay, sensor noise and bias. Where the "
-        "paper's table and text differ both stand here, and the larger has to be beaten. Its interval is that of the "
-        "count of tests that gives its figure."
+        f"`{table.results}` is trained on the triangle alone, like the paper's policy; {others} on all shapes. The "
+        "paper tested each cell about 50 times on a real arm. Our cells are simulated in the conditions "
+        f"`{table.conditions}`: a plant of its own in friction, stiffness, delay, sensor noise and bias."
+    )
+    yield Paragraph(
+        "Where the paper's table and text differ, both figures stand here and the larger one has to be beaten. The "
+        "interval of a figure of the paper follows from the count of tests that gives the figure."
     )
     lines: list[list[str | Judged]] = []
     compared: list[plots.Compared] = []
@@ -284,14 +301,14 @@ def table_2(measured: Measured, comparison: Comparison) -> Iterator[Block]:
         caption = "Success per cell with 95 % intervals; diamonds are the paper's, two where its table and text differ."
         yield Picture("table-2", plots.against_paper(compared), caption)
     yield Paragraph(
-        "The walls give: of 9 insertions of b-trm at 0.33 mm that were looked at, one ended 0.63 mm in a wall, one "
-        "0.28 mm and seven less than 0.2 mm."
+        "The walls of the simulated hole yield a little. Of 9 insertions of b-trm at 0.33 mm that were looked at, one "
+        "ended 0.63 mm in a wall, one 0.28 mm and seven less than 0.2 mm."
     )
     yield from _usual(measured, table)
 
 
-def _usual(measured: Measured, table: Table2) -> Iterator[Block]:
-    """The other parts without the other plant: what of Table II is the shape, and what is the plant."""
+def _usual(measured: Measured, table: Table2) -> Iterator[ReportBlock]:
+    """Give the parts of Table II on the usual plant, which tells the shape's share from the plant's."""
     yield Heading(f"The other parts in the conditions `{table.usual}`", 3)
     yield Paragraph("The same parts and clearances on the plant that the policies were trained on.")
     names = [name for name in (table.results, *table.beside) if name in measured.results]
@@ -304,8 +321,8 @@ def _usual(measured: Measured, table: Table2) -> Iterator[Block]:
     yield Table(header, lines)
 
 
-def _cell_blocks(measured: Measured, table: Table2, cell: Cell) -> dict[str, Measurement | None]:
-    """What was measured of a cell, by policy; through the service only where it was."""
+def _cell_blocks(measured: Measured, table: Table2, cell: TransferCell) -> dict[str, Measurement | None]:
+    """Return the measurements of a cell by policy, and through the service where there are any."""
     found: dict[str, Measurement | None] = {}
     for name in (table.results, *table.beside):
         for through, how in _HOW.items():
@@ -316,7 +333,7 @@ def _cell_blocks(measured: Measured, table: Table2, cell: Cell) -> dict[str, Mea
 
 
 def beaten(block: Measurement | None, larger: float) -> str | Judged:
-    """How a measured rate stands to the paper's larger figure."""
+    """Compare a measured rate with the paper's larger figure."""
     if block is None:
         return NOT_MEASURED
     if block.interval[0] > larger:
@@ -324,8 +341,8 @@ def beaten(block: Measurement | None, larger: float) -> str | Judged:
     return Judged("above, interval overlaps", "good") if block.rate > larger else Judged("below", "bad")
 
 
-def contradictions(comparison: Comparison) -> Iterator[Block]:
-    """What the reader must know of the paper's own figures."""
+def contradictions(comparison: Comparison) -> Iterator[ReportBlock]:
+    """List where the paper contradicts itself, and how its figures are read."""
     yield Heading("The paper's figures and how they are read here")
     lines: list[list[str | Judged]] = [
         [f"Table I, {row.name}", row.note] for row in comparison.table_1.rows if row.note
@@ -337,9 +354,11 @@ def contradictions(comparison: Comparison) -> Iterator[Block]:
             lines.append([where, differs])
     yield Table(["figure", "reading"], lines)
     yield Paragraph(
-        "The simulated rates of Table I are no multiples of 1/500, so they are soft anchors. The paper's gap is read "
-        "as the growth of the triangle's height, which fits its area proportions: 4 mm is a clearance per face of 1.33 "
-        "mm, 1 mm is 0.33 mm. Success is the paper's 2.5 mm below the hole's surface with the peg's axis inside the "
-        "hole; its author's code asks for 10 mm, which is shown beside it: the policy is left on for the rest of its "
-        "time."
+        "The simulated rates of Table I are not multiples of 1/500, so they can only guide. The paper's gap is read "
+        "as the growth of the triangle's height, which fits its area proportions: 4 mm is a clearance of 1.33 mm per "
+        "face, 1 mm is 0.33 mm."
+    )
+    yield Paragraph(
+        "Success is the paper's: 2.5 mm below the hole's surface with the peg's axis inside the hole. The author's "
+        "code asks for 10 mm, so that rate is shown beside it."
     )

@@ -1,4 +1,4 @@
-"""The report's pictures, as SVG text: the same data give the same bytes."""
+"""The report's pictures as SVG text; the same data give the same bytes."""
 
 import io
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c3e")
-"""Told apart by colour-blind readers too (Okabe and Ito). Series beyond them begin anew, dashed."""
+"""Colours that colour-blind readers can tell apart (Okabe and Ito); further series repeat them, dashed."""
 DASHES = ("-", "--", ":")
 PAPER = "#333333"
 _STYLE: dict[Any, Any] = {
@@ -48,7 +48,7 @@ class Rate:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class PlotLine:
     """One curve: `x` (k,), and `y` (seeds, k) where each row is a seed's."""
 
     name: str
@@ -71,7 +71,7 @@ def success_by_clearance(
     paper: Sequence[tuple[float, float]],
     targets: Sequence[tuple[float, float]],
 ) -> str:
-    """Success against clearance, on a logarithmic axis.
+    """Draw success against clearance on a logarithmic axis.
 
     Args:
         series: name and rates of each policy.
@@ -102,11 +102,11 @@ def success_by_clearance(
         return _svg(figure)
 
 
-def learning(lines: Sequence[Line], returns: Sequence[Line], reward: str) -> str:
-    """Success and return of the evaluations as training goes on; seeds thin, their mean thick.
+def learning(lines: Sequence[PlotLine], returns: Sequence[PlotLine], reward: str) -> str:
+    """Draw success and return of the evaluations over a training; seeds thin, their mean thick.
 
     Args:
-        lines: success.
+        lines: success of the evaluations.
         returns: mean return of the same evaluations.
         reward: name of the reward.
     """
@@ -130,7 +130,7 @@ def learning(lines: Sequence[Line], returns: Sequence[Line], reward: str) -> str
 
 
 def against_paper(rows: Sequence[Compared]) -> str:
-    """One line per cell of a table: the paper's printed span with its interval, and ours with theirs."""
+    """Draw one line per cell of a table: the paper's printed span and our rates, each with its interval."""
     with mpl.rc_context(_STYLE):
         names = list(dict.fromkeys(name for row in rows for name, *_ in row.ours))
         figure = Figure(figsize=(9.2, 0.9 + 0.5 * len(rows)))
@@ -157,10 +157,10 @@ def against_paper(rows: Sequence[Compared]) -> str:
 
 
 def peak_forces(panels: Sequence[tuple[str, Sequence[tuple[str, Sequence[float]]]]], limit_n: float) -> str:
-    """Share of episodes whose peak force stays below a force, one panel per clearance.
+    """Draw the share of episodes whose peak force stays below a force, one panel per clearance.
 
     Args:
-        panels: title, and name and peak forces in N of each policy.
+        panels: title of each panel, and name and peak forces in N of each policy.
         limit_n: force to mark.
     """
     with mpl.rc_context(_STYLE):
@@ -182,7 +182,7 @@ def peak_forces(panels: Sequence[tuple[str, Sequence[tuple[str, Sequence[float]]
 
 
 def _look(number: int) -> dict[str, Any]:
-    """Colour and dashes of a series."""
+    """Return colour and dashes of a series."""
     again, colour = divmod(number, len(COLOURS))
     return {"color": COLOURS[colour], "linestyle": DASHES[again % len(DASHES)]}
 

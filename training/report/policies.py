@@ -1,27 +1,27 @@
-"""What the measured policies are: rate, law, lock and file, and how each was trained."""
+"""Tables of the measured policies: rate, law, lock and file, and how each was trained."""
 
 from collections.abc import Iterable, Iterator
 
 from training.evaluation.results import Results
 from training.report import accounts
 from training.report.accounts import Account
-from training.report.document import Block, Judged, Paragraph, Table
+from training.report.document import Judged, Paragraph, ReportBlock, Table
 from training.report.measured import Measured, duration
 
 
-def misnamed(measured: Measured) -> Iterator[Block]:
-    """Say which results are of a policy of another name than theirs, by which tables place them."""
+def misnamed(measured: Measured) -> Iterator[ReportBlock]:
+    """Name results whose policy has another name than the results."""
     named = {name: results.policy for name, results in measured.results.items()}
     found = [f"`{name}` holds `{policy}`" for name, policy in named.items() if policy != name]
     if found:
         yield Paragraph(
             f"**Results under another name than their policy's own:** {', '.join(found)}. "
-            "Tables place them by the first."
+            "The tables use the first name."
         )
 
 
-def tables(measured: Measured) -> Iterator[Block]:
-    """All policies, folded: what decides their figures, and how they were trained."""
+def files(measured: Measured) -> Iterator[ReportBlock]:
+    """List all policies, folded: rate, law, lock, and the digests of file and sources."""
     lines: list[list[str | Judged]] = []
     for name, results in measured.results.items():
         episodes = sum(len(block.episodes) for block in results.blocks)
@@ -55,19 +55,23 @@ def tables(measured: Measured) -> Iterator[Block]:
             f"**Not all were measured with the same sources**: what decides an episode differs in {len(sources)} ways "
             "(last column)."
         )
+
+
+def trainings(measured: Measured) -> Iterator[ReportBlock]:
+    """List how all policies were trained, folded."""
     rows = [[f"`{name}`", *_trained_row(results)] for name, results in measured.results.items()]
     header = ["results", "experiment", "seed", "begun with", "own steps", "wall-clock", "c of the training"]
     yield Table(header, rows, folded=f"Training of all {len(rows)} policies")
 
 
 def trained(measured: Measured, names: Iterable[str]) -> str:
-    """One sentence on how those of these policies that are measured were trained; empty if there are none."""
+    """Say in one sentence how the measured ones of these policies were trained; empty if none is measured."""
     told = [f"`{name}` {_in_short(results)}" for name, results in _measured(measured, names).items()]
     return f"How they were trained differs, too: {'; '.join(told)}." if told else ""
 
 
 def pressing(measured: Measured, names: Iterable[str]) -> str:
-    """On what those of these policies that have the paper's lock do below it; empty if none is measured."""
+    """Say how far the measured policies under the paper's lock may go below it; empty if there are none."""
     locked = {name: results for name, results in _measured(measured, names).items() if results.lock == "paper"}
     if not locked:
         return ""

@@ -1,10 +1,10 @@
-"""Puts the chapters together and writes them."""
+"""The report as a whole: its chapters in order, and its files."""
 
 from pathlib import Path
 
 from training import files
+from training.report import findings, paper, record
 from training.report import own_chapters as own
-from training.report import paper
 from training.report import paper_chapters as others
 from training.report.document import Document
 from training.report.measured import Measured
@@ -14,13 +14,13 @@ PICTURES = "results"
 
 
 def document(measured: Measured) -> Document:
-    """The report of everything that was measured."""
+    """Return the report of everything that was measured: findings first, digests last."""
     comparison = paper.comparison()
     return Document(
         TITLE,
         [
-            *own.glance(measured, comparison),
-            *own.conditions(measured),
+            *findings.found(measured, comparison),
+            *findings.conditions(),
             *own.strength(measured, comparison),
             *others.table_1(measured, comparison),
             *others.learning_curves(measured, comparison),
@@ -28,7 +28,7 @@ def document(measured: Measured) -> Document:
             *own.force(measured, comparison),
             *own.service(measured),
             *others.contradictions(comparison),
-            *own.everything(measured),
+            *record.record(measured),
         ],
     )
 

@@ -17,6 +17,7 @@ from service.drivers.ur.link import UrLink
 from service.drivers.ur.recovery import dashboard
 from service.drivers.ur.samples import Package, SampleReader
 from service.faults import FaultCode
+from service.program import PROGRAM
 from wire.arrays import FloatArray
 from wire.rtde.modes import RobotMode, SafetyMode
 
@@ -217,14 +218,14 @@ def _judge_arm(facts: Facts) -> Iterator[Check]:
         None if package is None else _name(SafetyMode, package.safety_mode),
         package is not None and package.safety_mode == SafetyMode.NORMAL,
         "NORMAL",
-        "inspect the cell; after a protective stop `python -m service ur unlock`, else see the pendant",
+        f"inspect the cell; after a protective stop `{PROGRAM} ur unlock`, else see the pendant",
     )
     yield _check(
         "robot mode",
         None if package is None else _name(RobotMode, package.robot_mode),
         package is not None and package.robot_mode == RobotMode.RUNNING,
         "RUNNING",
-        "`python -m service ur power-on`, or switch on at the pendant and release the brakes",
+        f"`{PROGRAM} ur power-on`, or switch on at the pendant and release the brakes",
     )
     yield _check(
         "speed slider",

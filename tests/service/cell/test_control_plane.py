@@ -160,5 +160,5 @@ async def test_47_a_cell_that_falls_silent_is_unknown_and_asking_it_says_so(tmp_
         now[0] = 0.6
         assert client.state is CellState.UNKNOWN
         assert client.last_status is not None
-        with pytest.raises(CellSilentError, match="python -m service run"):
+        with pytest.raises(CellSilentError, match="dsl-assembly control"):
             await client.status(timeout_s=0.2)

@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -20,6 +19,7 @@ from service.drivers.base import Program
 from service.drivers.zenoh_sim import ZenohSimDriver
 from service.faults import FaultCode
 from service.messages import CellState, RefusalReason, Refused, ResetRequest, RunResult, RunState, StartRequest
+from service.program import command
 from service.testing import RECIPE, cell_config
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
@@ -126,7 +126,7 @@ def configured(tmp_path: Path, **replaced: str) -> tuple[Path, str]:
 
 @asynccontextmanager
 async def control_process(path: Path, endpoint: str) -> AsyncIterator[tuple[subprocess.Popen[bytes], CellClient]]:
-    process = subprocess.Popen([sys.executable, "-m", "service", "run", "--config", str(path)], cwd=ROOT)
+    process = subprocess.Popen(command("control", "--config", str(path)), cwd=ROOT)
     try:
         async with CellClient("cell-1", [endpoint]) as client:
             await until(lambda: client.state in (CellState.READY, CellState.LATCHED), 60.0)
@@ -183,14 +183,14 @@ async def test_47_a_control_process_that_is_killed_leaves_an_arm_that_stops_by_i
 
 def run_service(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "service", *arguments],
+        command(*arguments),
         cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
 
 
 def test_55_a_cell_with_a_ceiling_out_of_range_does_not_boot_and_says_which_field(tmp_path: Path) -> None:
     path, _ = configured(tmp_path, **{"force_ceiling_n = 30.0": "force_ceiling_n = 80.0"})
-    ended = run_service("run", "--config", str(path))
+    ended = run_service("control", "--config", str(path))
     assert ended.returncode == 2
     assert "limits.force_ceiling_n" in ended.stderr
     assert "Traceback" not in ended.stderr
@@ -199,7 +199,7 @@ def test_55_a_cell_with_a_ceiling_out_of_range_does_not_boot_and_says_which_fiel
 def test_an_endpoint_in_use_is_a_clear_error(tmp_path: Path) -> None:
     path, endpoint = configured(tmp_path)
     with sim_process(endpoint):
-        ended = run_service("run", "--config", str(path), DSL_ASSEMBLY__SIM__AUTOSTART="false")
+        ended = run_service("control", "--config", str(path), DSL_ASSEMBLY__SIM__AUTOSTART="false")
     assert ended.returncode == 3
     assert endpoint in ended.stderr
     assert "in use" in ended.stderr
@@ -207,4 +207,4 @@ def test_an_endpoint_in_use_is_a_clear_error(tmp_path: Path) -> None:
 
 
 def test_the_schema_is_printed_as_json() -> None:
-    assert "limits" in json.loads(run_service("schema").stdout)["properties"]
+    assert "limits" in json.loads(run_service("config", "schema").stdout)["properties"]

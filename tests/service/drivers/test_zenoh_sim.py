@@ -103,7 +103,7 @@ async def test_the_same_seed_is_the_same_world_with_transport_and_without() -> N
 
 
 async def test_a_driver_without_a_simulator_says_what_to_do() -> None:
-    with pytest.raises(DriverError, match="does not answer: is `python -m sim_backend` running") as error:
+    with pytest.raises(DriverError, match="does not answer: is `dsl-assembly sim serve` running") as error:
         async with connected(free_endpoint(), "real_time"):
             pass
     assert error.value.code is FaultCode.LINK

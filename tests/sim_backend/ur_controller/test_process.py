@@ -1,17 +1,17 @@
-"""`python -m sim_backend ur-controller` as its users meet it: a process of its own, in real time."""
+"""`dsl-assembly sim ur-controller` as its users meet it: a process of its own, in real time."""
 
 import contextlib
 import json
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from service.program import command
 from tests.sim_backend.ur_controller.rtde_peer import Peer
 from wire import records as wire
 from wire.session import open_session
@@ -19,7 +19,7 @@ from wire.session import open_session
 ROOT = Path(__file__).parents[3]
 HOST = "127.0.0.22"
 PATIENCE_S = 20.0
-COMMAND = [sys.executable, "-m", "sim_backend", "ur-controller", "--host", HOST]
+COMMAND = command("sim", "ur-controller", "--host", HOST)
 
 
 class Process:
@@ -120,7 +120,7 @@ def test_a_port_in_use_is_one_line_and_exit_code_2() -> None:
         process = subprocess.run(COMMAND, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert process.returncode == 2
     lines = [line for line in process.stderr.splitlines() if not line.startswith("degraded:")]
-    assert lines == [f"sim_backend: cannot listen at {HOST}:29999: Address already in use"]
+    assert lines == [f"sim: cannot listen at {HOST}:29999: Address already in use"]
 
 
 def test_programs_of_a_folder_are_loaded_and_played_from_the_dashboard(tmp_path: Path) -> None:

@@ -2,13 +2,13 @@
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
+from service.program import command
 from sim_backend.world import appearance, rendering
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire.task import Task
@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[3]
 
 def render(*options: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "sim_backend", "render", *options],
+        command("sim", "render", *options),
         cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
 
@@ -106,7 +106,7 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 def test_serving_needs_no_rendering() -> None:
     process = subprocess.run(
-        [sys.executable, "-m", "sim_backend", "serve", "--help"],
+        command("sim", "serve", "--help"),
         cwd=ROOT, env={**os.environ, "MUJOCO_GL": "osmesa"}, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert process.returncode == 0, process.stderr

@@ -6,7 +6,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 import zenoh
 
+from service import program
 from wire import records as wire
 from wire.endpoints import DEFAULT_ENDPOINT, DEFAULT_WORLD
 from wire.session import open_session
@@ -27,10 +27,10 @@ CLIENT = 42
 
 
 class Process:
-    """`python -m sim_backend …`, from its ready line on."""
+    """`dsl-assembly sim serve …`, from its ready line on."""
 
     def __init__(self, endpoint: str, *options: str, prefix: Sequence[str] = ()) -> None:
-        command = [*prefix, sys.executable, "-m", "sim_backend", "--listen", endpoint, *options]
+        command = [*prefix, *program.command("sim", "serve", "--listen", endpoint, *options)]
         self.popen = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         assert self.popen.stdout is not None
         line = self.popen.stdout.readline()
@@ -188,13 +188,11 @@ def test_a_signal_ends_it_cleanly(free_endpoint: str, mode: str, number: signal.
 def test_a_port_in_use_is_one_line_and_exit_code_2(free_endpoint: str) -> None:
     with served(free_endpoint, "--mode", "lockstep"):
         second = subprocess.run(
-            [sys.executable, "-m", "sim_backend", "serve", "--listen", free_endpoint],
+            program.command("sim", "serve", "--listen", free_endpoint),
             cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=False,
         )  # fmt: skip
     assert second.returncode == 2
-    assert second.stderr.splitlines() == [
-        f"sim_backend: {free_endpoint} is in use by another process: choose another --listen"
-    ]
+    assert second.stderr.splitlines() == [f"sim: {free_endpoint} is in use by another process: choose another --listen"]
 
 
 def test_world_and_endpoint_that_it_serves_by_default_are_those_of_the_shipped_cell() -> None:
@@ -217,7 +215,7 @@ def test_world_and_endpoint_that_it_serves_by_default_are_those_of_the_shipped_c
 def test_an_option_that_cannot_be_met_is_named(free_endpoint: str, options: list[str], named: str) -> None:
     listen = [] if "--listen" in options else ["--listen", free_endpoint]
     process = subprocess.run(
-        [sys.executable, "-m", "sim_backend", "serve", *listen, *options],
+        program.command("sim", "serve", *listen, *options),
         cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=False,
     )  # fmt: skip
     assert process.returncode == 2

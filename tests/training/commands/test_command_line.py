@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 torch = pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
 
+from cli.__main__ import app  # noqa: E402
 from service.policy.model import Policy  # noqa: E402
-from training.__main__ import app  # noqa: E402
 from training.learning.experiment import load  # noqa: E402
 from training.learning.network import ActorCritic  # noqa: E402
 

@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
 
+from cli.__main__ import app
 from service.policy.model import Policy
-from training.__main__ import app
 from training.evaluation import evaluate as evaluation
 from training.evaluation import provenance, through_service
 from training.evaluation.baseline import scripted_search

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 pytest.importorskip("torch", reason="needs the extra `training`: pip install -e '.[training]'")
 
-from training.__main__ import app
+from cli.__main__ import app
 from training.evaluation.evaluate import FIRST_TEST_SEED
 from training.evaluation.results import Block, EpisodeResult, Results
 from training.report.curves import Curve

@@ -1,4 +1,4 @@
-"""What a figure says of where it comes from."""
+"""Provenance of a figure: commit, and digests of the sources that decide it."""
 
 import ast
 import shutil
@@ -10,9 +10,14 @@ import pytest
 
 from training.evaluation import provenance
 
-PACKAGES = ("service", "sim_backend", "training")
-OTHERWISE = {"training/environment/design.py", "training/files.py", "training/evaluation/results.py"}
-"""Loaded with what plays an episode, but without a say in how it goes: a contract comes with its policy."""
+PACKAGES = provenance.CODE
+OTHERWISE = {
+    "training/environment/design.py",
+    "training/files.py",
+    "training/evaluation/results.py",
+    "wire/arrays.py",
+}
+"""Modules that load with what plays an episode and decide nothing: the contract comes with its policy."""
 
 
 def imported(source: Path) -> Iterator[Path]:
@@ -51,8 +56,29 @@ def test_a_change_of_what_decides_an_episode_shows_and_where_it_lies_does_not(
     monkeypatch.setattr(provenance, "ROOT", tmp_path)
     assert provenance.sources.__wrapped__() == here
     with (tmp_path / "sim_backend/world/arm.py").open("a") as file:
-        file.write("# a change")
+        file.write("CHANGED = 1\n")
     assert provenance.sources.__wrapped__() != here
+
+
+def test_prose_leaves_the_digests_and_a_number_alters_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for package in provenance.CODE:
+        shutil.copytree(provenance.ROOT / package, tmp_path / package)
+    monkeypatch.setattr(provenance, "ROOT", tmp_path)
+
+    def digests() -> tuple[str, str]:
+        return provenance.sources.__wrapped__(), provenance.deployed_sources()
+
+    before = digests()
+    module = tmp_path / "training/environment/insertion.py"
+    text = module.read_text()
+    docstring = text[: text.index("\n")]
+    assert docstring.startswith('"""')
+    number = "SUCCESS_DEPTH_M = 2.5e-3"
+    assert number in text
+    module.write_text(text.replace(docstring, '"""Other words."""  # a comment\n\n"""\nMore.\n'))
+    assert digests() == before
+    module.write_text(text.replace(number, "SUCCESS_DEPTH_M = 2.6e-3"))
+    assert all(now != old for now, old in zip(digests(), before, strict=True))
 
 
 def test_a_change_of_the_service_shows_where_it_was_played_through(
@@ -66,7 +92,7 @@ def test_a_change_of_the_service_shows_where_it_was_played_through(
     assert provenance.deployed_sources() == deployed
     for name in ("service/cell/cell.py", "service/drivers/sim_wire.py", "service/drivers/ur/control_program.urscript"):
         with (tmp_path / name).open("a") as file:
-            file.write("# a change")
+            file.write("CHANGED = 1\n")
         changed = provenance.deployed_sources()
         assert changed != deployed
         deployed = changed

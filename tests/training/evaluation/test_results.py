@@ -4,7 +4,16 @@ from pathlib import Path
 
 import pytest
 
-from training.evaluation.results import Block, EpisodeResult, Results, ResultsError, Session, Setting, exclusive, wilson
+from training.evaluation.results import (
+    Block,
+    EpisodeResult,
+    MeasuringSession,
+    Results,
+    ResultsError,
+    Setting,
+    exclusive,
+    wilson,
+)
 
 SETTING = Setting(part="tr", clearance_m=1e-3, conditions="standard", lock="paper", first_seed=100)
 EPISODES = tuple(
@@ -19,7 +28,7 @@ EPISODES = tuple(
     )
     for i in range(5)
 )
-SESSION = Session(
+SESSION = MeasuringSession(
     ended="2026-01-01 00:00 UTC", commit="abc", machine="one, 2 cores", versions={}, workers=1, episodes=5, wall_s=2.5
 )
 BLOCK = Block(setting=SETTING, sessions=(SESSION,), episodes=EPISODES)

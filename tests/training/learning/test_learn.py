@@ -17,7 +17,7 @@ from training.learning import ppo  # noqa: E402
 from training.learning.experiment import Experiment, ExperimentError  # noqa: E402
 from training.learning.export import to_onnx  # noqa: E402
 from training.learning.learn import TrainingError, learn, untrained  # noqa: E402
-from training.learning.run import CheckpointError, Run, read, save  # noqa: E402
+from training.learning.run import CheckpointError, TrainingRun, read, save  # noqa: E402
 from training.learning.validation import Validation, validate  # noqa: E402
 
 EASY = {"clearance_mm": [3.0, 3.0], "lock": "off", "conditions": "easy", "randomise_plant": False, "max_steps": 80}
@@ -76,7 +76,7 @@ def test_a_short_training_inserts_on_seeds_it_has_never_seen_what_an_untrained_p
         episodes = evaluate(policy, 3e-3, 60, conditions="easy", cells=60, threads=1).episodes
         return float(np.mean([e.success for e in episodes])), float(np.mean([e.episode_return for e in episodes]))
 
-    success, earned = judged(learn(Run(asked, 0, tmp_path)))
+    success, earned = judged(learn(TrainingRun(asked, 0, tmp_path)))
     success_before, earned_before = judged(untrained(asked, 0))
     assert success_before < 0.05
     assert success > 0.2
@@ -87,14 +87,14 @@ def test_a_training_leaves_its_account_its_progress_and_its_best_model(tmp_path:
     asked = experiment(
         task={"parts": ["tr", "cir"]}, algorithm={"workers": 2}, evaluation={"clearances_mm": [3.0, 2.0]}
     )
-    network = learn(Run(asked, 3, tmp_path))
+    network = learn(TrainingRun(asked, 3, tmp_path))
     account = json.loads((tmp_path / "run.json").read_text())
     assert Experiment.model_validate(account["experiment"]) == asked
     assert account["seed"] == 3
     (session,) = account["sessions"]
     assert session["steps"] == 0
     assert {"began", "commit", "machine", "versions"} <= session.keys()
-    records = Run(asked, 3, tmp_path).records()
+    records = TrainingRun(asked, 3, tmp_path).records()
     rollouts, evaluations = ([r for r in records if r["kind"] == kind] for kind in ("rollout", "evaluation"))
     assert [r["steps"] for r in rollouts] == [32, 64]
     assert rollouts[-1]["episodes"] > 0
@@ -115,7 +115,7 @@ def test_what_comes_of_a_training_is_the_running_average_of_its_weights_and_goes
     before = untrained(asked, 0).state_dict()
     for steps in (32, 64):
         asked = asked.model_copy(update={"algorithm": asked.algorithm.model_copy(update={"steps": steps})})
-        policy = learn(Run(asked, 0, tmp_path)).state_dict()
+        policy = learn(TrainingRun(asked, 0, tmp_path)).state_dict()
         found = read(tmp_path / "checkpoint.pt")
         for name, weights in policy.items():
             assert torch.equal(found["net"][name], weights)
@@ -136,23 +136,25 @@ def test_the_average_is_what_an_evaluation_plays_and_the_best_is_chosen_of(
 
     monkeypatch.setattr("training.learning.learn.validate", watched)
     asked = experiment(algorithm={"averaging": 0.9})
-    policy = learn(Run(asked, 0, tmp_path))
+    policy = learn(TrainingRun(asked, 0, tmp_path))
     assert played[-1] == to_onnx(policy, asked.contract())
     assert len(set(played)) == len(played) == 3
 
 
 def test_the_same_seed_trains_the_same_network_and_another_another(tmp_path: Path) -> None:
     asked = experiment(evaluation={"every_steps": 1000})
-    first, again, other = (learn(Run(asked, seed, tmp_path / name)) for seed, name in ((0, "a"), (0, "b"), (1, "c")))
+    first, again, other = (
+        learn(TrainingRun(asked, seed, tmp_path / name)) for seed, name in ((0, "a"), (0, "b"), (1, "c"))
+    )
     assert same(first, again)
     assert not same(first, other)
 
 
 def test_a_training_goes_on_from_where_it_ended_and_counts_on(tmp_path: Path) -> None:
-    half = learn(Run(experiment(algorithm={"steps": 32}), 0, tmp_path))
+    half = learn(TrainingRun(experiment(algorithm={"steps": 32}), 0, tmp_path))
     with (tmp_path / "progress.jsonl").open("a") as progress:
         progress.write('{"kind": "rollout", "steps": 64}\n{"kind": "roll')  # killed there
-    run = Run(experiment(), 0, tmp_path)
+    run = TrainingRun(experiment(), 0, tmp_path)
     went_on = learn(run)
     assert not same(half, went_on)
     assert run.steps == 64
@@ -166,15 +168,15 @@ def test_scores_of_another_evaluation_do_not_keep_better_weights_out(tmp_path: P
     half = experiment(algorithm={"steps": 32})
     for evaluation, kept in (({"every_steps": 16}, 32), ({"clearances_mm": [2.0]}, 64)):
         directory = tmp_path / str(kept)
-        learn(Run(half, 0, directory))
+        learn(TrainingRun(half, 0, directory))
         best = directory / "best.pt"
         save(best, read(best) | {"score": [2.0, 0.0], "steps": 32})  # beyond what any evaluation gives
-        learn(Run(experiment(evaluation=evaluation), 0, directory))
+        learn(TrainingRun(experiment(evaluation=evaluation), 0, directory))
         assert read(best)["steps"] == kept
 
 
 def test_a_session_that_is_out_of_time_leaves_the_rest_to_the_next(tmp_path: Path) -> None:
-    run = Run(experiment(), 0, tmp_path)
+    run = TrainingRun(experiment(), 0, tmp_path)
     learn(run, deadline_s=1e-9)
     assert run.steps == 0
     learn(run)
@@ -182,7 +184,7 @@ def test_a_session_that_is_out_of_time_leaves_the_rest_to_the_next(tmp_path: Pat
 
 
 def test_a_finished_training_stays_as_it_is(tmp_path: Path) -> None:
-    run = Run(experiment(algorithm={"steps": 32}), 0, tmp_path)
+    run = TrainingRun(experiment(algorithm={"steps": 32}), 0, tmp_path)
     learn(run)
     before = (run.best.read_bytes(), run.checkpoint.read_bytes(), run.records())
     learn(run)
@@ -190,32 +192,32 @@ def test_a_finished_training_stays_as_it_is(tmp_path: Path) -> None:
 
 
 def test_another_experiment_does_not_go_on_in_the_same_folder(tmp_path: Path) -> None:
-    learn(Run(experiment(algorithm={"steps": 32}), 0, tmp_path))
+    learn(TrainingRun(experiment(algorithm={"steps": 32}), 0, tmp_path))
     progress = (tmp_path / "progress.jsonl").read_text()
     with pytest.raises(ExperimentError, match=r"other settings \(algorithm\.gamma, task\.reward\)"):
-        learn(Run(experiment(algorithm={"gamma": 0.9}, task={"reward": "paper"}), 0, tmp_path))
+        learn(TrainingRun(experiment(algorithm={"gamma": 0.9}, task={"reward": "paper"}), 0, tmp_path))
     assert (tmp_path / "progress.jsonl").read_text() == progress
 
 
 def test_a_contract_that_the_code_has_changed_meanwhile_is_not_trained_on_under(tmp_path: Path) -> None:
-    run = Run(experiment(algorithm={"steps": 32}), 0, tmp_path)
+    run = TrainingRun(experiment(algorithm={"steps": 32}), 0, tmp_path)
     learn(run)
     checkpoint = read(run.checkpoint)
     trained = PolicyContract.from_json(checkpoint["contract"])
     save(run.checkpoint, checkpoint | {"contract": trained.model_copy(update={"wrench_window_ticks": 7}).to_json()})
     before = run.records()
     with pytest.raises(ExperimentError, match="another contract"):
-        learn(Run(experiment(), 0, tmp_path))
+        learn(TrainingRun(experiment(), 0, tmp_path))
     assert run.records() == before
     save(run.checkpoint, checkpoint | {"contract": trained.model_copy(update={"clearance_m": (1e-3, 5e-3)}).to_json()})
-    learn(Run(experiment(), 0, tmp_path))
+    learn(TrainingRun(experiment(), 0, tmp_path))
     assert run.steps == 64
 
 
 def test_a_training_that_diverges_says_so_and_keeps_the_weights_from_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = Run(experiment(), 0, tmp_path)
+    run = TrainingRun(experiment(), 0, tmp_path)
     learned = ppo.update
 
     def diverging(network: Any, optimiser: Any, rollout: Any, algorithm: Any) -> ppo.Losses:
@@ -236,7 +238,7 @@ def test_a_training_that_diverges_says_so_and_keeps_the_weights_from_before(
 def test_weights_that_are_no_numbers_are_not_kept_even_if_the_losses_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = Run(experiment(), 0, tmp_path)
+    run = TrainingRun(experiment(), 0, tmp_path)
     learned = ppo.update
 
     def spoiling(network: Any, optimiser: Any, rollout: Any, algorithm: Any) -> ppo.Losses:
@@ -255,14 +257,14 @@ def test_a_training_may_begin_with_the_weights_of_another_and_explores_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    learn(Run(experiment("first", algorithm={"steps": 32}), 0))
+    learn(TrainingRun(experiment("first", algorithm={"steps": 32}), 0))
     best = read(tmp_path / "var/training/first/seed-0/best.pt")["net"]
     bold = {"initial_log_std": -0.1}
     follower = experiment("second", start_from="first", algorithm=bold)
     other, start = experiment("third", algorithm=bold), Path("var/training/first/seed-0/best.pt")
     for network in (
-        learn(Run(follower, 0), deadline_s=1e-9),
-        learn(Run(other, 0), start, deadline_s=1e-9),
+        learn(TrainingRun(follower, 0), deadline_s=1e-9),
+        learn(TrainingRun(other, 0), start, deadline_s=1e-9),
     ):
         weights = network.state_dict()
         torch.testing.assert_close(weights.pop("log_std"), torch.full((4,), -0.1))
@@ -276,10 +278,10 @@ def test_a_training_may_begin_with_the_weights_of_another_and_explores_anew(
 
 def test_a_training_under_way_takes_no_other_weights_than_it_began_with(tmp_path: Path) -> None:
     for name in ("first", "other"):
-        learn(Run(experiment(name, algorithm={"steps": 32}), len(name), tmp_path / name))
-    run, start = Run(experiment(), 0, tmp_path / "mine"), tmp_path / "first/best.pt"
+        learn(TrainingRun(experiment(name, algorithm={"steps": 32}), len(name), tmp_path / name))
+    run, start = TrainingRun(experiment(), 0, tmp_path / "mine"), tmp_path / "first/best.pt"
     learn(run, start, deadline_s=1e-9)
-    learn(Run(experiment(algorithm={"steps": 32}), 0, tmp_path / "mine"), start)
+    learn(TrainingRun(experiment(algorithm={"steps": 32}), 0, tmp_path / "mine"), start)
     before = (run.checkpoint.read_bytes(), (tmp_path / "mine/run.json").read_bytes())
     with pytest.raises(CheckpointError, match=r"mine did not begin with the weights of .*other"):
         learn(run, tmp_path / "other/best.pt")
@@ -288,9 +290,9 @@ def test_a_training_under_way_takes_no_other_weights_than_it_began_with(tmp_path
 
 @pytest.mark.parametrize("change", [{"task": {"mode": "VM", "lock": "off"}}, {"algorithm": {"memory": "none"}}])
 def test_weights_that_do_not_fit_are_refused_and_nothing_is_left(change: dict[str, Any], tmp_path: Path) -> None:
-    learn(Run(experiment(algorithm={"steps": 32}), 0, tmp_path / "first"))
+    learn(TrainingRun(experiment(algorithm={"steps": 32}), 0, tmp_path / "first"))
     with pytest.raises(CheckpointError, match=r"cannot begin with .*best\.pt"):
-        learn(Run(experiment("second", **change), 0, tmp_path / "second"), tmp_path / "first/best.pt")
+        learn(TrainingRun(experiment("second", **change), 0, tmp_path / "second"), tmp_path / "first/best.pt")
     assert not (tmp_path / "second").exists()
 
 

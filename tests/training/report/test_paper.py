@@ -5,7 +5,7 @@ import pytest
 from sim_backend.world.parts import PARTS, proportion
 from training.learning import experiment
 from training.report import paper
-from training.report.paper import Plan
+from training.report.paper import TablePlan
 
 COMPARISON = paper.comparison()
 
@@ -41,16 +41,19 @@ def test_every_row_of_table_1_and_every_learning_curve_belongs_to_an_experiment(
     assert {run.experiment for figure in COMPARISON.curves for run in figure.runs} <= known
 
 
-@pytest.mark.parametrize("plan", list(Plan))
-def test_a_plan_measures_the_policy_without_a_camera_in_a_search_domain(plan: Plan) -> None:
+@pytest.mark.parametrize("plan", list(TablePlan))
+def test_a_plan_measures_the_policy_without_a_camera_in_a_search_domain(plan: TablePlan) -> None:
     conditions = {drawn for _, _, drawn in paper.cells_of(plan, "FTM")}
-    assert conditions == {"transfer" if plan is Plan.TABLE_2 else "search"}
-    assert len(set(paper.cells_of(plan, "VFTM"))) == {Plan.STRENGTH: 6, Plan.TABLE_1: 4, Plan.TABLE_2: 9}[plan]
+    assert conditions == {"transfer" if plan is TablePlan.TABLE_2 else "search"}
+    assert (
+        len(set(paper.cells_of(plan, "VFTM")))
+        == {TablePlan.STRENGTH: 6, TablePlan.TABLE_1: 4, TablePlan.TABLE_2: 9}[plan]
+    )
 
 
 def test_what_is_reported_of_a_policy_is_what_the_tables_name_it_for() -> None:
     shipped = paper.reported("vftm-dsl", "VFTM")
-    assert set(shipped) >= {(*cell, None) for plan in Plan for cell in paper.cells_of(plan, "VFTM")}
+    assert set(shipped) >= {(*cell, None) for plan in TablePlan for cell in paper.cells_of(plan, "VFTM")}
     assert ("tr", 1.33e-3, "standard", "off") in shipped
     assert ("tr", 0.33e-3, COMPARISON.strength.hardened, None) in shipped
     for name in ("vftm-dsl", "vftm-dsl-shapes"):

@@ -12,7 +12,7 @@ pytest.importorskip("matplotlib", reason="needs the extra `training`: pip instal
 
 from training.commands.report import report
 from training.evaluation.evaluate import FIRST_TEST_SEED
-from training.evaluation.results import Block, EpisodeResult, Results, ResultsError, Session, Setting
+from training.evaluation.results import Block, EpisodeResult, MeasuringSession, Results, ResultsError, Setting
 from training.report import curves, paper
 from training.report.measured import Measured
 from training.report.paper_chapters import beaten
@@ -150,7 +150,9 @@ def test_what_was_measured_in_another_reward_or_at_another_ceiling_stands_in_no_
 
 def test_a_measurement_of_several_sessions_names_the_commits_of_all() -> None:
     sessions = tuple(
-        Session(ended="2026-01-01", commit=commit, machine="one", versions={}, workers=1, episodes=25, wall_s=1.0)
+        MeasuringSession(
+            ended="2026-01-01", commit=commit, machine="one", versions={}, workers=1, episodes=25, wall_s=1.0
+        )
         for commit in ("aaaaaaaaaaaa", "bbbbbbbbbbbb-dirty", "aaaaaaaaaaaa")
     )
     text = told(Measured({"p": results(block(40).model_copy(update={"sessions": sessions}))}, ()))

@@ -3,7 +3,6 @@
 import asyncio
 import os
 import subprocess
-import sys
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 from service.client import CellClient
 from service.drivers.ur.rtde import RtdeClient
 from service.messages import CellState, StartRequest
+from service.program import command
 from tests.service.drivers.ur.cells import UR
 from tests.service.sim_server import free_endpoint
 from wire.rtde.modes import RuntimeState
@@ -39,7 +39,7 @@ def robot() -> Iterator[Robot]:
     endpoint = free_endpoint()
     process = subprocess.Popen(
         [
-            *(sys.executable, "-m", "sim_backend", "ur-controller", "--host", HOST, "--any-ports"),
+            *command("sim", "ur-controller", "--host", HOST, "--any-ports"),
             *("--world", WORLD, "--listen", endpoint),
         ],
         cwd=ROOT,
@@ -85,7 +85,7 @@ def config(robot: Robot, tmp_path: Path) -> Path:
 
 def service(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "service", *arguments],
+        command(*arguments),
         cwd=ROOT,
         env=os.environ | {"COLUMNS": "200"},
         capture_output=True,
@@ -129,9 +129,7 @@ def test_the_operator_s_commands_of_a_cell_without_a_ur_arm_say_so() -> None:
 @asynccontextmanager
 async def control_process(config: Path) -> AsyncIterator[tuple[subprocess.Popen[bytes], CellClient]]:
     endpoint = next(line.split('"')[1] for line in config.read_text().splitlines() if line.startswith("endpoint"))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "service", "run", "--config", str(config)], cwd=ROOT, stderr=subprocess.DEVNULL
-    )
+    process = subprocess.Popen(command("control", "--config", str(config)), cwd=ROOT, stderr=subprocess.DEVNULL)
     try:
         async with CellClient("cell-ur", [endpoint]) as client:
             yield process, client

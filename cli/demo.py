@@ -1,7 +1,4 @@
-"""The command behind `make run`: starts the API, presses start over HTTP as an operator would, shows what happens.
-
-`python -m api.demo [--once] [--port 8000]`. Ends with status 1 under `--once` if the peg did not go in.
-"""
+"""`demo`, behind `make run`: starts the API, presses start over HTTP as an operator would, shows what happens."""
 
 import contextlib
 import json
@@ -9,8 +6,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
-import threading
 import time
 from collections.abc import Generator
 from http import HTTPStatus
@@ -21,21 +16,18 @@ import httpx
 import typer
 from rich.console import Console
 from rich.live import Live
-from rich.progress_bar import ProgressBar
-from rich.table import Table
-from rich.text import Text
 
-from service.config import DEFAULT_PATH, PATH_VARIABLE, CellConfig, ConfigError, load
+from cli.exits import Exit, fail
+from cli.live import View, outcome
+from service.commands.configured import ConfigPath
+from service.config import CellConfig, ConfigError, find, load
+from service.program import command
 
 READY_S = 60.0
 RUN_S = 180.0
 DEFAULT_SEED = 3
 """The world of the picture in the README, so that a first look is the same for everyone."""
 END_S = 20.0
-EXIT_USAGE = 2
-MARKS = {"SUCCEEDED": "green", "ACTIVE": "blue"}
-
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 console = Console(highlight=False, soft_wrap=True)
 
 
@@ -43,8 +35,8 @@ class DemoError(Exception):
     """The demonstration cannot go on; the text is all that a person needs."""
 
 
-@app.command()
 def demo(
+    config: ConfigPath = None,
     once: Annotated[bool, typer.Option("--once", help="Exit after the insertion, 1 if the peg did not go in.")] = False,
     port: Annotated[
         int | None, typer.Option(min=1, max=65535, help="Port of the page; else the configured one.")
@@ -52,19 +44,22 @@ def demo(
     recipe: Annotated[str | None, typer.Option(help="Recipe to start; else the first one configured.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulated world.")] = DEFAULT_SEED,
 ) -> None:
-    """Start the cell, insert one peg, stay up until Ctrl-C."""
+    """Start the cell, insert one peg, stay up until Ctrl-C.
+
+    What can be checked before anything starts is checked first, and said in one line.
+    """
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
     try:
-        code = _demonstrate(once=once, port=port, recipe=recipe, seed=seed)
+        code = _demonstrate(config, once=once, port=port, recipe=recipe, seed=seed)
     except (DemoError, ConfigError) as error:
-        _fail(str(error))
+        fail("demo", str(error), Exit.USAGE)
     except KeyboardInterrupt:
-        code = 130
+        code = Exit.INTERRUPTED
     raise typer.Exit(code)
 
 
-def _demonstrate(*, once: bool, port: int | None, recipe: str | None, seed: int) -> int:
-    path = Path(os.environ.get(PATH_VARIABLE, DEFAULT_PATH)).resolve()
+def _demonstrate(file: Path | None, *, once: bool, port: int | None, recipe: str | None, seed: int) -> int:
+    path = find(file)
     config = load(path)
     port = config.api.port if port is None else port
     recipe = recipe or next(iter(config.recipes))
@@ -74,7 +69,7 @@ def _demonstrate(*, once: bool, port: int | None, recipe: str | None, seed: int)
         _wait_ready(server, http, log, once=once)
         run = _insert(server, http, recipe, seed)
         inserted = run["state"] == "SUCCEEDED"
-        _print_outcome(run)
+        console.print(outcome(run))
         if once:
             return 0 if inserted else 1
         with contextlib.suppress(KeyboardInterrupt):
@@ -106,23 +101,21 @@ def _check(config: CellConfig, recipe: str, port: int) -> None:
 def _serving(
     config: CellConfig, path: Path, port: int
 ) -> Generator[tuple[subprocess.Popen[bytes], httpx.Client, Path]]:
-    """Run uvicorn as a child for as long as the context lasts."""
+    """Run `serve` as a child for as long as the context lasts."""
     log = config.cell.state_dir / "logs" / "api.log"
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
         output = log.open("wb")
     except OSError as error:
         raise DemoError(f"cannot write {log}: {error.strerror}") from error
-    command = [sys.executable, "-m", "uvicorn", "api.app:app", "--host", "127.0.0.1", "--port", str(port)]
     with output:
         # A session of its own: Ctrl-C reaches this process, which then ends the server in order.
         server = subprocess.Popen(
-            command,
+            command("serve", "--config", str(path), "--host", "127.0.0.1", "--port", str(port)),
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
             start_new_session=True,
-            env=os.environ | {PATH_VARIABLE: str(path)},
         )
     # `make run` in a closed terminal, or ended by a supervisor, must leave nothing behind either.
     for number in (signal.SIGTERM, signal.SIGHUP):
@@ -183,89 +176,22 @@ def _insert(server: subprocess.Popen[bytes], http: httpx.Client, recipe: str, se
     run: dict[str, Any] = response.json()
     where = response.headers["Location"]
     console.print(f"POST /start accepted: run [bold]{run['id']}[/], recipe {recipe}, seed {run['seed']}")
-    progress = Progress(run["id"])
-    threading.Thread(target=progress.follow_frames, args=(str(http.base_url),), daemon=True).start()
+    view = View(console)
+    view.follow_frames(str(http.base_url).rstrip("/"))
     deadline = time.monotonic() + RUN_S
-    with Live(console=console, refresh_per_second=12, get_renderable=progress.render, transient=True):
+    with Live(console=console, refresh_per_second=12, get_renderable=view.render, transient=True):
         while time.monotonic() < deadline:
             if server.poll() is not None:
                 raise DemoError(f"the server ended during the run with status {server.returncode}")
             with contextlib.suppress(httpx.TransportError, json.JSONDecodeError):
-                progress.take(http.get("/status").json())
+                view.take(http.get("/status").json())
                 run = http.get(where).json()
-                if run["state"] != "ACTIVE" and progress.status["state"] in {"READY", "LATCHED"}:
+                if run["state"] != "ACTIVE" and view.status["state"] in {"READY", "LATCHED"}:
                     return run
             time.sleep(0.1)
-    raise DemoError(f"run {run['id']} has not ended after {RUN_S:.0f} s; the cell says {progress.status.get('state')}")
-
-
-class Progress:
-    """What the terminal shows of a run.
-
-    Args:
-        run_id: the run that is followed.
-    """
-
-    def __init__(self, run_id: str) -> None:
-        self.run_id = run_id
-        self.status: dict[str, Any] = {}
-        self.frame: dict[str, Any] = {}
-
-    def take(self, status: dict[str, Any]) -> None:
-        """Take in a status; where no terminal shows it live, say each change of state."""
-        if not console.is_terminal and status["state"] != self.status.get("state"):
-            console.print(f"  {status['state']}")
-        self.status = status
-
-    def follow_frames(self, base_url: str) -> None:
-        """Read the telemetry stream until it ends."""
-        forever = httpx.Timeout(10, read=None)
-        with contextlib.suppress(httpx.HTTPError), httpx.Client(trust_env=False, timeout=forever) as http:
-            self._read(http, f"{base_url}/telemetry")
-
-    def _read(self, http: httpx.Client, url: str) -> None:
-        with http.stream("GET", url) as response:
-            for line in response.iter_lines():
-                if line.startswith("data: "):
-                    self.frame = json.loads(line.removeprefix("data: "))
-
-    def render(self) -> Table:
-        run: dict[str, Any] = self.status.get("run") or {}
-        ceiling_n = self.status.get("force_ceiling_n") or 1.0
-        force_n = self.frame.get("force_peak_n", 0.0)
-        table = Table.grid(padding=(0, 2))
-        table.add_row("state", Text(self.status.get("state", "…"), style="bold"), f"step {run.get('steps', 0)}")
-        bar = ProgressBar(total=ceiling_n, completed=min(force_n, ceiling_n), width=40)
-        table.add_row("force", bar, f"{force_n:5.1f} N of {ceiling_n:.0f}")
-        depth = _millimetres(self.frame.get("depth_m"))
-        table.add_row(
-            "depth", depth, f"peak {run.get('peak_force_n', 0.0):.1f} N, lock {self.frame.get('phase') or '–'}"
-        )
-        return table
-
-
-def _print_outcome(run: dict[str, Any]) -> None:
-    colour = MARKS.get(run["state"], "red")
-    words = "the peg is in" if run["state"] == "SUCCEEDED" else f"{run['code'] or run['state']}: {run['text']}"
-    console.print(
-        f"[bold {colour}]{run['state']}[/]: {words}. depth {_millimetres(run['depth_m'])}, "
-        f"peak force {run['peak_force_n']:.1f} N, {run['steps']} steps, {run['duration_s']:.1f} s"
-    )
-
-
-def _millimetres(metres: float | None) -> str:
-    return "–" if metres is None else f"{1e3 * metres:.1f} mm"
+    raise DemoError(f"run {run['id']} has not ended after {RUN_S:.0f} s; the cell says {view.status.get('state')}")
 
 
 def _last_line(log: Path) -> str:
     lines = log.read_text(errors="replace").strip().splitlines()
     return lines[-1][:400] if lines else f"{log} is empty"
-
-
-def _fail(text: str) -> NoReturn:
-    typer.echo(f"demo: {text}", err=True)
-    raise typer.Exit(EXIT_USAGE)
-
-
-if __name__ == "__main__":
-    app()

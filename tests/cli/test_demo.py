@@ -2,7 +2,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 from service.config import PATH_VARIABLE
 from service.faults import FaultCode
 from service.messages import CellState, RunState
+from service.program import command
 from tests.api.wire_cell import WireCell, free_port
 
 ROOT = Path(__file__).parents[2]
@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 
 def demo(config_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "api.demo", "--once", *arguments],
+        command("demo", "--once", *arguments),
         cwd=ROOT,
         env=os.environ | {PATH_VARIABLE: str(config_path)},
         stdout=subprocess.PIPE,
@@ -100,7 +100,7 @@ def test_an_unknown_recipe_names_those_that_are_there(with_policy: Path) -> None
 def test_it_waits_for_a_reset_inserts_and_stays_up_until_ctrl_c(with_policy: Path, cell: WireCell) -> None:
     cell.fault(FaultCode.FORCE_CEILING)
     process = subprocess.Popen(
-        [sys.executable, "-m", "api.demo", "--port", str(free_port())],
+        command("demo", "--port", str(free_port())),
         cwd=ROOT,
         env=os.environ | {PATH_VARIABLE: str(with_policy)},
         stdout=subprocess.PIPE,

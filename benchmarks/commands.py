@@ -1,4 +1,4 @@
-"""Command line of the benchmarks: run all or some, print the tables, save them."""
+"""`bench`: run all benchmarks or some, print the tables, save them."""
 
 import importlib
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ BENCHMARKS = (
     *("tick", "stop_latency", "round_trip", "lockstep", "lateness", "throughput", "training_share", "peers"),
     *("rtde", "emulator", "ur_client", "ur_stop", "ur_ceiling", "ur_silence"),
 )
-FOLDER = Path(__file__).parent / "results"
+FOLDER = Path("benchmarks/results")
 
 
 class Benchmark(Protocol):
@@ -26,7 +26,7 @@ class Benchmark(Protocol):
         ...
 
 
-def run(
+def bench(
     names: Annotated[
         list[str] | None, typer.Argument(help=f"Benchmarks to run: {', '.join(BENCHMARKS)}; all by default.")
     ] = None,
@@ -36,7 +36,7 @@ def run(
         Path | None, typer.Option(exists=True, dir_okay=False, help="Python with robosuite, Gymnasium-Robotics.")
     ] = None,
 ) -> None:
-    """Measure, print and save."""
+    """Measure this project on this machine, print the tables and save them."""
     console = Console()
     wanted = names or list(BENCHMARKS)
     if unknown := sorted(set(wanted) - set(BENCHMARKS)):
@@ -72,7 +72,3 @@ def _measure(console: Console, name: str, scale: float, given: Mapping[str, Any]
     except Exception as error:  # a failure must not cost the results of the others
         console.print_exception()
         return Result(question="", missing=f"failed: {type(error).__name__}: {error}"), False
-
-
-if __name__ == "__main__":
-    typer.run(run)

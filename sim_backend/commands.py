@@ -1,6 +1,4 @@
-"""Command line of the simulated cell: `python -m sim_backend` serves it over Zenoh, `… ur-controller` over UR's own
-protocols, `… render` draws it.
-"""
+"""`sim …`: the simulated cell, served over Zenoh (`serve`) or over UR's own protocols (`ur-controller`), or drawn."""
 
 import contextlib
 import os
@@ -43,7 +41,12 @@ EXIT_USAGE = 2
 EXIT_NO_RENDERING = 3
 """This machine lacks what rendering needs."""
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Serve a simulated cell, or an emulated UR controller, or draw it.",
+)
 _PARTS = ", ".join(get_args(Part))
 
 
@@ -61,7 +64,7 @@ def serve(
     seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
     allow_remote: Annotated[bool, typer.Option(help="Allow endpoints outside this machine.")] = False,
 ) -> None:
-    """Serve a simulated cell over Zenoh until SIGINT or SIGTERM (the default command)."""
+    """Serve a simulated cell over Zenoh until SIGINT or SIGTERM."""
     _exit_on_signals()
     endpoints = listen or [DEFAULT_ENDPOINT]
     try:
@@ -87,7 +90,9 @@ def serve(
 
 @app.command("ur-controller")
 def ur_controller(
-    host: Annotated[str, typer.Option(help="Address of this machine that the controller has.")] = "127.0.0.1",
+    host: Annotated[
+        str, typer.Option(help="Loopback address of this machine to listen on, with UR's ports.")
+    ] = "127.0.0.1",
     any_ports: Annotated[
         bool, typer.Option(help="Take free ports instead of UR's; the ready line names them.")
     ] = False,
@@ -97,7 +102,7 @@ def ur_controller(
     listen: Annotated[
         list[str] | None, typer.Option(help="Zenoh endpoint for the arm's surroundings; none by default.")
     ] = None,
-    connect: Annotated[list[str] | None, typer.Option(help="Zenoh endpoint to join, likewise.")] = None,
+    connect: Annotated[list[str] | None, typer.Option(help="Zenoh endpoint to join; none unless given.")] = None,
     programs: Annotated[
         Path | None, typer.Option(help="Folder of URScript files: NAME.script can be loaded as NAME.urp.")
     ] = None,
@@ -150,8 +155,8 @@ def render(
     part: Annotated[str, typer.Option(help=f"Peg and hole: {_PARTS}.")] = "tr",
     clearance_m: Annotated[float, typer.Option(help="Clearance per face, m.")] = 2e-3,
     camera: Annotated[str, typer.Option(help=f"One of {', '.join(appearance.CAMERAS)}.")] = "overview",
-    width: Annotated[int, typer.Option(min=16, max=1920)] = 1280,
-    height: Annotated[int, typer.Option(min=16, max=1080)] = 720,
+    width: Annotated[int, typer.Option(min=16, max=1920, help="Width of the picture, px.")] = 1280,
+    height: Annotated[int, typer.Option(min=16, max=1080, help="Height of the picture, px.")] = 720,
 ) -> None:
     """Draw the start of an episode."""
     try:
@@ -195,15 +200,5 @@ def _exit_on_signals() -> None:
 
 
 def _fail(text: str, code: int) -> NoReturn:
-    typer.echo(f"sim_backend: {text}", err=True)
+    typer.echo(f"sim: {text}", err=True)
     raise typer.Exit(code)
-
-
-def _with_command(arguments: list[str]) -> list[str]:
-    """Insert `serve` if the arguments name no command: only options, or nothing."""
-    named = arguments and (arguments[0] == "--help" or not arguments[0].startswith("-"))
-    return arguments if named else ["serve", *arguments]
-
-
-if __name__ == "__main__":
-    app(_with_command(sys.argv[1:]))

@@ -1,0 +1,105 @@
+"""`config …`: the configuration of a cell, and a folder for a new one."""
+
+import json
+import re
+import shutil
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cli import shipped
+from cli.exits import Exit, fail
+from service.config import CellConfig, ConfigError, find, load
+from service.program import PROGRAM
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Write, check and describe the configuration of a cell.",
+)
+FILE = "cell.toml"
+POLICIES = "policies"
+STATE = "state"
+_POLICY = re.compile(r"\.\./models/([\w.-]+\.onnx)")
+_STATE = re.compile(r'"\.\./var/[\w-]+"')
+_OWN_NAME = re.compile(r" --config config/[\w-]+\.toml")
+
+
+class Kind(StrEnum):
+    """What a new cell begins as."""
+
+    SIMULATED = "simulated"
+    UR_EMULATED = "ur-emulated"
+    UR3E = "ur3e"
+
+    @property
+    def example(self) -> Path:
+        """The shipped configuration that it is made from."""
+        return shipped.EXAMPLES / ("cell.toml" if self is Kind.SIMULATED else f"{self.value}.toml")
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON schema of the configuration."""
+    typer.echo(json.dumps(CellConfig.model_json_schema(), indent=2))
+
+
+@app.command()
+def check(
+    file: Annotated[
+        Path | None,
+        typer.Argument(help="TOML file; default $DSL_ASSEMBLY_CONFIG, else cell.toml, else config/cell.toml."),
+    ] = None,
+) -> None:
+    """Read a configuration as the cell would; name every wrong field, or every recipe whose policy does not fit."""
+    try:
+        path = find(file)
+        cell = load(path)
+    except ConfigError as error:
+        fail("config check", str(error), Exit.USAGE)
+    from service.cell.policies import PolicyRefusedError, PolicyShelf
+    from service.commands.drivers import make_driver
+
+    shelf = PolicyShelf(cell, make_driver(cell).tick_s)
+    refused = 0
+    for recipe in cell.recipes:
+        try:
+            shelf.admit(recipe)
+        except PolicyRefusedError as error:
+            refused += 1
+            typer.echo(f"recipe {recipe}: {error}", err=True)
+    if refused:
+        raise typer.Exit(Exit.FAILED)
+    typer.echo(f"{path} can be used: cell {cell.cell.id}, driver {cell.cell.driver}, recipes {', '.join(cell.recipes)}")
+
+
+@app.command()
+def new(
+    folder: Annotated[Path, typer.Argument(help="Folder to write; it must not hold anything yet.")],
+    kind: Annotated[Kind, typer.Option(help="What the cell's arm is.")] = Kind.SIMULATED,
+) -> None:
+    """Write a cell's folder: configuration with comments, policies, place for its state.
+
+    The policies are copies, so an update of this program changes no policy of a cell that works.
+    """
+    text = kind.example.read_text(encoding="utf-8")
+    policies = sorted(set(_POLICY.findall(text)))
+    text = _POLICY.sub(rf"{POLICIES}/\1", text)
+    text = _STATE.sub(f'"{STATE}"', text)
+    text = _OWN_NAME.sub("", text)
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            fail("config new", f"{folder} is there already and is not empty: name another folder", Exit.USAGE)
+        (folder / POLICIES).mkdir(parents=True)
+        for name in policies:
+            shutil.copyfile(shipped.MODELS / name, folder / POLICIES / name)
+        (folder / FILE).write_text(text, encoding="utf-8")
+    except OSError as error:
+        fail("config new", f"cannot write {error.filename or folder}: {error.strerror}", Exit.HOST)
+    typer.echo(f"wrote {folder / FILE} and {len(policies)} in {folder / POLICIES}. Next:\n  cd {folder}")
+    if kind is Kind.UR3E:
+        typer.echo(f"  measure and write every number marked MEASURE in {FILE}\n  {PROGRAM} ur check")
+    typer.echo(f"  {PROGRAM} serve     # then, in another terminal: {PROGRAM} start --wait")

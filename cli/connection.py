@@ -1,0 +1,80 @@
+"""HTTP to a running API, with errors that are one line each."""
+
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Annotated, Any, Self
+
+import httpx
+import typer
+
+from cli.address import DEFAULT_URL, URL_VARIABLE, is_address
+from cli.exits import Exit, fail
+from service.program import PROGRAM
+
+TIMEOUT_S = 15.0
+SILENT = frozenset({"CELL_SILENT", "STOP_NOT_DELIVERED", "SHUTTING_DOWN"})
+"""Reasons of an API behind which nobody acted."""
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print the API's answer as JSON.")]
+
+
+class Api:
+    """One API, asked by one command.
+
+    Args:
+        command: that asks, for its error texts.
+        url: of the API.
+    """
+
+    def __init__(self, command: str, url: str) -> None:
+        self.command = command
+        self.url = url.rstrip("/")
+        if not is_address(self.url):
+            fail(command, f"{url} is no address of an API: it looks like {DEFAULT_URL}", Exit.USAGE)
+        self._http = httpx.Client(base_url=self.url, trust_env=False, timeout=TIMEOUT_S)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._http.close()
+
+    def get(self, path: str, **query: Any) -> Any:
+        """Return the JSON of an answer; one that is an error ends the command."""
+        return self._ask("GET", path, params=query)
+
+    def post(self, path: str, body: Mapping[str, Any], headers: Mapping[str, str] | None = None) -> Any:
+        """Send a command, once; an error ends this command."""
+        return self._ask("POST", path, json=body, headers=headers)
+
+    def status(self) -> dict[str, Any]:
+        """Return the status; a cell that is UNKNOWN is one too."""
+        return self.get("/status")
+
+    def _ask(self, method: str, path: str, **rest: Any) -> Any:
+        try:
+            response = self._http.request(method, path, **rest)
+            answer = response.json()
+        except httpx.ConnectError as error:
+            fail(self.command, unreachable(self.url, error), Exit.UNREACHABLE)
+        except httpx.TransportError as error:
+            why = str(error) or type(error).__name__
+            text = f"the API at {self.url} gave no answer ({why})"
+            if method != "GET":
+                text += f"; whether it acted is not known: look at `{PROGRAM} status`"
+            fail(self.command, text, Exit.UNREACHABLE)
+        except ValueError:
+            fail(self.command, f"{self.url} is no API of a cell: it does not answer in JSON", Exit.UNREACHABLE)
+        if response.is_success:
+            return answer
+        reason = answer.get("reason")
+        text = f"{reason or response.status_code}: {answer.get('detail') or response.reason_phrase}"
+        fail(self.command, text, Exit.UNREACHABLE if reason in SILENT else Exit.REFUSED)
+
+
+def unreachable(url: str, error: Exception) -> str:
+    """Say that no API answers, and what to do."""
+    why = str(error) or type(error).__name__
+    return f"no API answers at {url} ({why}): start one by `{PROGRAM} serve`, or name it by --url or ${URL_VARIABLE}"

@@ -1,0 +1,31 @@
+"""Exit codes of the commands, and how one ends with a reason."""
+
+from enum import IntEnum
+from typing import NoReturn
+
+import typer
+
+
+class Exit(IntEnum):
+    """What a status other than 0 says; `docs/command.md` lists them for people."""
+
+    FAILED = 1
+    """Carried out, and the outcome is not the wanted one: the peg is not in, a check did not pass."""
+    USAGE = 2
+    """A wrong option, or a configuration or a file that cannot be used."""
+    HOST = 3
+    """The machine refuses: a port or an endpoint in use, a folder that cannot be written."""
+    UNREACHABLE = 4
+    """Nobody answered: no API there, or no control process behind it."""
+    REFUSED = 5
+    """The cell answered, and refused."""
+    UNCONFIRMED = 6
+    """A stop was delivered, and the arm is not measured standing yet."""
+    INTERRUPTED = 130
+    """Ctrl-C."""
+
+
+def fail(command: str, text: str, code: Exit) -> NoReturn:
+    """End the command; `text` says what is wrong and what to do."""
+    typer.echo(f"{command}: {text}", err=True)
+    raise typer.Exit(int(code))

@@ -1,0 +1,74 @@
+"""`serve`: one cell behind its HTTP interface."""
+
+import signal
+import socket
+from types import FrameType
+from typing import Annotated, NoReturn
+
+import typer
+
+from cli.exits import Exit, fail
+from service.commands.configured import ConfigPath
+
+
+def serve(
+    config: ConfigPath = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen on; default: api.host.")] = None,
+    port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port to listen on; default: api.port.")] = None,
+) -> None:
+    """Serve one cell: API and page, control process, simulator.
+
+    The control process is started where none answers, and the simulator where the configuration asks for one. Ctrl-C,
+    SIGTERM and the end of the terminal end what was started. The log goes to standard error, one JSON object a line.
+    """
+    import uvicorn
+
+    from api.application import create_app
+    from api.logs import configure_logs
+    from service.config import ConfigError, find, load
+
+    try:
+        path = find(config)
+        cell = load(path)
+        given = {name: value for name, value in (("host", host), ("port", port)) if value is not None}
+        cell = cell.model_copy(update={"api": cell.api.model_copy(update=given)})
+        app = create_app(cell, path)
+    except (ConfigError, ValueError) as error:
+        fail("serve", str(error), Exit.USAGE)
+    configure_logs()
+    listener = _listen(cell.api.host, cell.api.port)
+    typer.echo(f"cell {cell.cell.id}: page on http://{cell.api.host}:{cell.api.port}")
+    _end_on_signals()
+    # uvicorn takes the signals over while it serves, and raises them again when everything has ended.
+    server = uvicorn.Server(uvicorn.Config(app, log_config=None))
+    server.run(sockets=[listener])
+    if not server.started:
+        fail("serve", "the server did not start; the log above says why", Exit.HOST)
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """Take the port before anything is started."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        fail(
+            "serve",
+            f"cannot listen on {host}:{port} ({error.strerror}): end what uses it, or give another --port",
+            Exit.HOST,
+        )
+
+
+def _end_on_signals() -> None:
+    """Let Ctrl-C and SIGTERM end this process in order, and the end of its terminal as well."""
+
+    def leave(_number: int, _frame: FrameType | None) -> NoReturn:
+        raise SystemExit(0)
+
+    def hang_up(_number: int, _frame: FrameType | None) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+    signal.signal(signal.SIGINT, leave)
+    signal.signal(signal.SIGTERM, leave)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as under nohup
+        signal.signal(signal.SIGHUP, hang_up)

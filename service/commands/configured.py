@@ -1,0 +1,37 @@
+"""The cell that a command is about: its configuration, or the end of the command."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import structlog
+import typer
+
+from service.config import CellConfig, ConfigError, UrSection, load
+
+EXIT_FAILED = 1
+EXIT_CONFIG = 2
+EXIT_HOST = 3
+
+ConfigPath = Annotated[
+    Path | None,
+    typer.Option(help="TOML file of the cell; default $DSL_ASSEMBLY_CONFIG, else cell.toml, else config/cell.toml."),
+]
+
+
+def load_cell(path: Path | None) -> CellConfig:
+    """Read the configuration; one that cannot be used ends the command and says why. The log goes to standard error."""
+    structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
+    try:
+        return load(path)
+    except ConfigError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(EXIT_CONFIG) from error
+
+
+def ur_section(cell: CellConfig) -> UrSection:
+    """Return the section of the UR arm; a cell without one ends the command."""
+    if cell.ur is None or cell.cell.driver != "ur":
+        typer.echo('this cell has no UR arm: set cell.driver = "ur" and describe it under [ur]', err=True)
+        raise typer.Exit(EXIT_CONFIG)
+    return cell.ur
