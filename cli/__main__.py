@@ -35,11 +35,13 @@ COMMANDS = {
         "training.commands.evaluate:evaluate", "Play fresh seeds with the deterministic policy.", POLICIES
     ),
     "report": Entry(
-        "training.commands.report:report", "Write the report of everything in the folder of results.", POLICIES
+        "training.commands.report:report", "Write the report of all results and the models' cards.", POLICIES
     ),
     "reproduce": Entry("training.commands.reproduce:reproduce", "Play all of the report's episodes again.", POLICIES),
     "carry": Entry(
-        "training.commands.carry:carry", "Carry results over a change of the sources that alters no episode.", POLICIES
+        "training.commands.carry:carry",
+        "Show that REVISION and the present sources play the same, bit for bit.",
+        POLICIES,
     ),
     "baseline": Entry("training.commands.baseline:baseline", "Write a scripted policy.", POLICIES),
     "gallery": Entry("training.commands.gallery:gallery", "Draw each part's insertion.", POLICIES),

@@ -31,7 +31,7 @@ def carry(
         typer.Option("--environment-only", help="Leave the episodes through the service at their earlier sources."),
     ] = False,
 ) -> None:
-    """Show that REVISION and the present sources play the same, bit for bit, and carry the results over.
+    """Show that REVISION and the present sources play the same, bit for bit. Then carry the results over.
 
     The first seeds of every block are played in both trees, each by a process with that tree's own code. If one step of
     one episode differs, no file is changed. Episodes are also compared with those on file. They must be equal if 25

@@ -22,7 +22,7 @@ def report(
         Path, typer.Option(help="Folder of the policies; without policies no models.md is written.")
     ] = Path("models"),
 ) -> None:
-    """Write the report of all results and the models' cards, without playing anything."""
+    """Write the report of all results and the models' cards. Nothing is played."""
     try:
         from training.report import cards, curves, writing
         from training.report.measured import Measured
