@@ -1,1 +1,1 @@
-"""The HTTP face of one cell: no authority over motion beyond sending commands to its control process."""
+"""The HTTP API of one cell. It has no authority over motion beyond sending commands to the control process."""

@@ -1,4 +1,4 @@
-"""The application that `uvicorn api.app:app` serves: the cell whose configuration `service.config.find` finds."""
+"""The application that `uvicorn api.app:app` serves, for the cell whose configuration `service.config.find` finds."""
 
 from api.application import create_app
 from api.logs import configure_logs

@@ -1,4 +1,4 @@
-"""Puts the HTTP server together: routes, errors, protection, and what lives as long as it does."""
+"""Assembles the HTTP server: routes, errors, protection, and the tasks that live as long as the server."""
 
 import asyncio
 import signal
@@ -37,8 +37,8 @@ Units are SI; frames and signs are those of `docs/reference/frames.md`. Every er
 """
 TAGS = [
     {"name": "commands", "description": "Start, stop, reset."},
-    {"name": "state", "description": "What is measured; whether the server is fit to serve."},
-    {"name": "runs", "description": "What was done."},
+    {"name": "state", "description": "Measured state of the cell; health of the server."},
+    {"name": "runs", "description": "History of the runs."},
     {"name": "streams", "description": "Server-sent events."},
 ]
 
@@ -46,14 +46,14 @@ _log = structlog.get_logger("api")
 
 
 def build_routes(lifespan: Callable[[FastAPI], Any] | None = None) -> FastAPI:
-    """Return the application without a cell behind it: enough for its OpenAPI document."""
+    """Return the application without a cell. That suffices for its OpenAPI document."""
     app = FastAPI(
         title="dsl-assembly cell",
         summary="One robot cell that inserts pegs under a dynamic safety lock",
         description=DESCRIPTION,
         version=VERSION,
         openapi_tags=TAGS,
-        docs_url=None,  # Swagger's page loads from elsewhere, and a cell has no internet
+        docs_url=None,  # Swagger's page loads scripts from the internet, which a cell lacks
         redoc_url=None,
         lifespan=lifespan,
     )
@@ -66,7 +66,7 @@ def build_routes(lifespan: Callable[[FastAPI], Any] | None = None) -> FastAPI:
 
 
 def _complete_openapi(app: FastAPI) -> None:
-    """Add the schemas that FastAPI cannot see: of errors, and of what the streams carry."""
+    """Add the schemas that FastAPI does not find: those of errors and of the streams' messages."""
     bare = app.openapi
 
     def complete() -> dict[str, Any]:
@@ -90,8 +90,8 @@ def create_app(config: CellConfig, path: Path) -> Protection:
     """Build the server of one cell.
 
     Args:
-        config: of the cell.
-        path: of its file, handed on to a control process that is started.
+        config: configuration of the cell.
+        path: path of the configuration file, passed to a control process that is started.
 
     Returns:
         The ASGI application.
@@ -158,8 +158,8 @@ def _report_crash(task: asyncio.Task[None]) -> None:
 def _before_shutdown(close_streams: Callable[[], None]) -> Generator[None]:
     """Call `close_streams` as soon as a signal asks the server to end.
 
-    uvicorn waits for open responses before it tells the application to end, so an open event stream would hold it up
-    for ever. The handlers that are in place are called after ours.
+    uvicorn waits for open responses before it tells the application to end, so an open event stream would block it
+    forever. Existing signal handlers are called afterwards.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

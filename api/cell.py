@@ -1,4 +1,4 @@
-"""The API's side of one cell: its last heartbeat, its events, its runs on their way into the history."""
+"""The API's view of one cell: its last heartbeat, its events, and its runs on their way into the history."""
 
 import asyncio
 import time
@@ -22,10 +22,10 @@ class Cell:
     """Follows the control process and keeps the history in step with its ledger.
 
     Args:
-        client: for everything but a stop.
-        stopper: a client with a session of its own, so that a stop queues behind nothing.
-        history: where runs go.
-        clock: monotonic seconds.
+        client: client for everything but a stop.
+        stopper: client for stops. It has a session of its own, so that a stop queues behind nothing.
+        history: history that runs are recorded in.
+        clock: monotonic clock, s.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Cell:
         return self.client.last_status
 
     async def follow(self) -> None:
-        """Run until cancelled. A fault of our own ends it and is kept in `failure`; status and stop go on."""
+        """Run until cancelled. An internal error ends it and is kept in `failure`; status and stop still work."""
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._follow_statuses())
@@ -62,18 +62,18 @@ class Cell:
                 tasks.create_task(self._reconcile_forever())
                 tasks.create_task(self.history.write_forever())
         except ExceptionGroup as error:
-            self.failure = f"events and history are not followed any more: {error.exceptions[0]!r}; start this anew"
+            self.failure = f"events and history are no longer followed: {error.exceptions[0]!r}; restart this server"
             raise
 
     async def wait_alive(self, timeout_s: float) -> bool:
-        """Return whether a heartbeat is there within `timeout_s`."""
+        """Wait up to `timeout_s` for a heartbeat; return whether one arrived."""
         deadline = self._clock() + timeout_s
         while self.is_silent and self._clock() < deadline:
             await asyncio.sleep(0.02)
         return not self.is_silent
 
     def current(self, run: Run) -> Run:
-        """Return the newer of `run` and what the last heartbeat says of it."""
+        """Return the newer of `run` and the same run in the last heartbeat."""
         status = self.last_status
         live = status.run if status is not None else None
         return live if live is not None and live.id == run.id and run.state is RunState.ACTIVE else run
@@ -127,7 +127,7 @@ class Cell:
             self.feed.nudge()
 
     async def _reconcile_forever(self) -> None:
-        """Ask the ledger for what was missed: at the start, after a silence, after a lost event."""
+        """Read missed runs from the ledger: at the start, after a silence, after a lost event."""
         while True:
             await self._reconcile.wait()
             self._reconcile.clear()

@@ -1,8 +1,8 @@
-"""Starts the control process where none answers, and ends exactly that one, by process id.
+"""Starts the control process if none answers, and ends only the process that it started, by process id.
 
-A control process that was there before is joined and left running. A started one lives in a session of its own, so
-that neither Ctrl-C in the API's terminal nor the API's death reaches it: a run goes on without the API, and a new API
-joins it. Its simulator is its own affair.
+A control process that is already running is joined and left running. A started one lives in a session of its own, so
+neither Ctrl-C in the API's terminal nor the API's death reaches it: a run continues without the API, and a new API
+joins it. The control process starts and ends its simulator itself.
 """
 
 import asyncio
@@ -16,22 +16,22 @@ from service.program import PROGRAM, Child
 _log = structlog.get_logger("api.control_process")
 
 JOIN_S = 1.0
-"""How long a control process that is already there may take to be heard."""
+"""Time in which a running control process must be heard, s."""
 POLL_S = 0.05
 END_S = 6.0
-"""How long it may take to stop its arm and to end its simulator before it is killed."""
+"""Time in which it must stop its arm and end its simulator before it is killed, s."""
 
 
 class ControlProcess:
     """The control process that this API started, if any.
 
     Args:
-        config: of the cell.
-        path: of its file, handed on to the control process.
+        config: configuration of the cell.
+        path: path of the configuration file, passed to the control process.
 
     Attributes:
-        child: the started process; None where it was joined, or nothing is started here.
-        note: what people should know while the control process is silent.
+        child: the started process; None if it was joined or if this API starts nothing.
+        note: explanation for people while the control process is silent.
     """
 
     def __init__(self, config: CellConfig, path: Path) -> None:
@@ -41,7 +41,7 @@ class ControlProcess:
         self.note: str | None = None
 
     def start(self) -> None:
-        """Start it, unless the configuration leaves that to others."""
+        """Start the control process, unless `api.autostart` is off."""
         if not self._config.api.autostart:
             self.note = f"Nothing is started here (api.autostart is off): run `{PROGRAM} control`."
             return
@@ -56,7 +56,7 @@ class ControlProcess:
         _log.info("started", name=self.child.name, pid=self.child.process.pid, log=str(log))
 
     async def end(self) -> None:
-        """End the started one: asked by SIGTERM, killed if it does not end."""
+        """End the started process: ask by SIGTERM, and kill it if it does not end within `END_S`."""
         if self.child is None:
             return
         name, process = self.child.name, self.child.process
@@ -72,7 +72,7 @@ class ControlProcess:
         _log.info("ended", name=name, pid=process.pid, status=process.returncode)
 
     async def watch(self) -> None:
-        """Note it when the started one ends by itself; returns then, else when cancelled."""
+        """Wait until the started process ends by itself, note it and return. Runs until then or until cancelled."""
         if self.child is None:
             return
         while (ending := self.child.ending()) is None:

@@ -1,4 +1,4 @@
-"""The cell's events as a stream that a client can leave and take up again where it left."""
+"""The cell's events as a stream that a client can leave and later resume."""
 
 import asyncio
 from collections import deque
@@ -12,16 +12,16 @@ SUBSCRIBER_QUEUE = 256
 
 
 def event_id(event: Event) -> str:
-    """Return the id that a client gives back as `Last-Event-ID`; it outlives a restart of the API."""
+    """Return the id that a client returns as `Last-Event-ID`. It stays valid across a restart of the API."""
     return f"{event.service_epoch}.{event.seq}"
 
 
 class Subscription:
-    """One client's queue of events. `None` in it means: look at the status now.
+    """One client's queue of events. `None` in it tells the reader to send the status now.
 
     Attributes:
-        resumed: False where events between the client's last one and now are lost to it.
-        ended: the client was too slow, or the feed was closed; it must connect again.
+        resumed: False if events after the client's last one are lost.
+        ended: True if the client was too slow or the feed was closed. The client must connect again.
     """
 
     def __init__(self, backlog: list[Event], resumed: bool) -> None:
@@ -64,19 +64,19 @@ class EventFeed:
             subscription.offer(event)
 
     def nudge(self) -> None:
-        """Have every subscriber send the status now."""
+        """Make every subscriber send the status now."""
         for subscription in self._subscriptions:
             subscription.offer(None)
 
     def close(self) -> None:
-        """End every subscription, and those to come."""
+        """End every subscription, present and future."""
         self._closed = True
         for subscription in self._subscriptions:
             subscription.end()
 
     @contextmanager
     def subscribe(self, last_event_id: str | None = None, replay: int = 0) -> Generator[Subscription]:
-        """Subscribe, beginning after `last_event_id` where it is given, else with the newest `replay` events."""
+        """Subscribe from after `last_event_id` on; without that id, from the newest `replay` events on."""
         held = list(self._held)
         backlog = held[max(0, len(held) - replay) :]
         resumed = True

@@ -1,7 +1,7 @@
-"""Run history in SQLite: what `GET /runs` pages through. The control process's ledger stays the original.
+"""Run history in SQLite, for the pages of `GET /runs`. The control process's ledger remains the original.
 
-Nothing that moves or stops the robot waits for this database. Where it cannot be used, `problem` says why, starts are
-refused with that reason, and stop and status go on.
+Nothing that moves or stops the robot waits for this database. If it cannot be used, `problem` says why and starts are
+refused with that reason. Stop and status still work.
 """
 
 import asyncio
@@ -29,7 +29,7 @@ class Base(DeclarativeBase):
 
 
 class RunRow(Base):
-    """One run: the columns that are sought by, and the whole document as the control process told it."""
+    """One run: the columns for queries, and the whole document as received from the control process."""
 
     __tablename__ = "runs"
     __table_args__ = (Index("runs_newest_first", "requested_at", "id"),)
@@ -50,10 +50,10 @@ class RunHistory:
     """Reads and writes the run history.
 
     Args:
-        url: `sqlite+aiosqlite:///file`; the file's folder is made if it is not there.
+        url: `sqlite+aiosqlite:///file`; a missing folder of the file is created.
 
     Raises:
-        ValueError: another database.
+        ValueError: the URL names another database.
     """
 
     def __init__(self, url: str) -> None:
@@ -64,7 +64,7 @@ class RunHistory:
         self._sessions = async_sessionmaker(self._engine, expire_on_commit=False)
         self._pending: dict[str, Run] = {}
         self._wake = asyncio.Event()
-        # SQLite has one writer; two of ours must not refuse each other.
+        # SQLite allows one writer, so the writers of this process take turns.
         self._writing = asyncio.Lock()
         self._probing: asyncio.Task[None] | None = None
         self._opened = False
@@ -75,7 +75,7 @@ class RunHistory:
         """Return the parsed URL.
 
         Raises:
-            ValueError: it does not name an SQLite file.
+            ValueError: the URL does not name an SQLite file.
         """
         parsed = make_url(url)
         if parsed.drivername != "sqlite+aiosqlite" or not parsed.database:
@@ -83,7 +83,7 @@ class RunHistory:
         return parsed
 
     async def open(self) -> None:
-        """Make the tables; a failure is kept in `problem`, not raised."""
+        """Create the tables. A failure is kept in `problem`, not raised."""
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             async with self._engine.begin() as connection:
@@ -99,10 +99,10 @@ class RunHistory:
         await self._engine.dispose()
 
     async def check(self) -> None:
-        """Make sure that a run could be recorded now.
+        """Check that a run can be recorded now.
 
         Raises:
-            HistoryError: it could not.
+            HistoryError: the database cannot be written.
         """
         if self._probing is None or self._probing.done():
             self._probing = asyncio.create_task(self._probe())
@@ -125,12 +125,12 @@ class RunHistory:
             self.problem = None
 
     def put(self, run: Run) -> None:
-        """Have `write_forever` record a run, new or changed; returns at once."""
+        """Queue a new or changed run for `write_forever`; return at once."""
         self._pending[run.id] = run
         self._wake.set()
 
     async def write_forever(self) -> None:
-        """Write what `put` takes in, again and again until the database takes it."""
+        """Write the queued runs, retrying until the database accepts them."""
         while True:
             await self._wake.wait()
             self._wake.clear()
@@ -141,10 +141,10 @@ class RunHistory:
                 self._wake.set()
 
     async def flush(self) -> None:
-        """Write what is pending now.
+        """Write the queued runs now.
 
         Raises:
-            HistoryError: the database does not take it; it stays pending.
+            HistoryError: the database does not accept them; they stay queued.
         """
         if not self._opened:
             await self.open()
@@ -156,10 +156,10 @@ class RunHistory:
                 del self._pending[run.id]
 
     async def record(self, runs: Sequence[Run]) -> None:
-        """Insert or update; an ended run never becomes active again.
+        """Insert or update runs. An ended run never becomes active again.
 
         Raises:
-            HistoryError: the database does not take it.
+            HistoryError: the database does not accept them.
         """
         try:
             async with self._writing, self._sessions.begin() as session:
@@ -174,7 +174,7 @@ class RunHistory:
         self.problem = None
 
     async def newest(self, limit: int, before: str | None = None) -> list[Run]:
-        """Return up to `limit` runs, newest first, those older than the run `before` where it is given.
+        """Return up to `limit` runs, newest first; if `before` is given, only runs older than that run.
 
         Raises:
             HistoryError: the database cannot be read.

@@ -1,4 +1,4 @@
-"""JSON log lines, one per event, the web server's own included."""
+"""JSON log lines, one per event, for this package and the web server."""
 
 import logging
 import sys

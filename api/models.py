@@ -1,4 +1,4 @@
-"""What the HTTP API takes and answers, beside the control plane's own models in `service.messages`."""
+"""Requests and answers of the HTTP API, beside the control plane's own models in `service.messages`."""
 
 from typing import Self
 
@@ -38,7 +38,7 @@ _RUN_EXAMPLE: JsonDict = {
 
 
 class StartBody(BaseModel):
-    """Ask for one insertion."""
+    """Request one insertion."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -47,13 +47,17 @@ class StartBody(BaseModel):
 
     recipe: str = Field(pattern=NAME_PATTERN, description="One of the recipes that `GET /status` lists.")
     seed: int | None = Field(
-        None, ge=0, lt=2**53, strict=True, description="Of the simulated world; drawn if left out. A real arm has none."
+        None,
+        ge=0,
+        lt=2**53,
+        strict=True,
+        description="Seed of the simulated world; drawn at random if left out. A real arm takes none.",
     )
-    operator: str = Field("", max_length=64, description="Who asks; stands in the run's `requested_by`.")
+    operator: str = Field("", max_length=64, description="Name of the requester; recorded in the run's `requested_by`.")
 
 
 class ResetBody(BaseModel):
-    """Acknowledge the latched fault. Nothing moves, and no run is taken up again."""
+    """Acknowledge the latched fault. Nothing moves, and no run resumes."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -64,32 +68,34 @@ class ResetBody(BaseModel):
         },
     )
 
-    operator: str = Field(min_length=1, max_length=64, description="Who looked at the cell.")
-    comment: str = Field("", max_length=500, description="What was found; stands in the cell's journal.")
+    operator: str = Field(min_length=1, max_length=64, description="Name of the person who looked at the cell.")
+    comment: str = Field("", max_length=500, description="Findings at the cell; recorded in its journal.")
     acknowledge: FaultCode | None = Field(
-        None, description="The code that the operator saw; refused if another is in force by now."
+        None, description="Fault code that the operator saw. The reset is refused if another fault is in force by now."
     )
 
 
 class CellStatus(BaseModel):
-    """What is measured now, and UNKNOWN where nothing is.
+    """State of the cell as last measured, or UNKNOWN.
 
-    `state` is what the control process said in its last heartbeat if that is fresh; otherwise UNKNOWN, and `measured`
-    is left out.
+    `state` is the state in the control process's last heartbeat, if that heartbeat is fresh. Otherwise `state` is
+    UNKNOWN and `measured` is left out.
     """
 
     cell: str
     state: CellState
-    heartbeat_age_s: float | None = Field(description="Since the control process was last heard; null if it never was.")
+    heartbeat_age_s: float | None = Field(
+        description="Age of the control process's last heartbeat, s; null if there was none."
+    )
     last_known_state: CellState | None = Field(
-        description="What it said when last heard. While `state` is UNKNOWN the cell may have changed since."
+        description="State in the last heartbeat. While `state` is UNKNOWN, the cell may have changed since."
     )
     can_start: bool
     why_not: str | None = None
     latch: Latch | None = None
     run: Run | None = None
     measured: Measured | None = Field(
-        default=None, description="Newest sample; `sample_age_s` counts up to this answer."
+        default=None, description="Newest sample; `sample_age_s` is its age when this answer was sent."
     )
     force_ceiling_n: float | None = None
     recipes: tuple[str, ...] = ()
@@ -104,9 +110,9 @@ class CellStatus(BaseModel):
         """Build from the last heartbeat.
 
         Args:
-            cell: the cell's id, for when nothing was ever heard.
-            client: has the heartbeat and its age.
-            note: why the control process is silent, where that is known.
+            cell: id of the cell, used if there was no heartbeat yet.
+            client: client that holds the heartbeat and its age.
+            note: reason for the control process's silence, if known.
         """
         status = client.last_status
         age_s = client.heartbeat_age_s
@@ -146,9 +152,9 @@ class CellStatus(BaseModel):
 
 
 class StopAnswer(BaseModel):
-    """What is known of the stop when the answer leaves."""
+    """State of the cell when the answer to a stop or reset is sent."""
 
-    confirmed: bool = Field(description="The arm was measured standing after the stop command.")
+    confirmed: bool = Field(description="True if standstill of the arm was measured after the command.")
     state: CellState
     measured: Measured | None
     detail: str
@@ -164,15 +170,15 @@ class RunPage(BaseModel):
 
 
 class Health(BaseModel):
-    """Whether this server lives, and whether it could serve an operator."""
+    """Liveness and readiness of this server."""
 
     alive: bool = True
-    ready: bool = Field(description="Every check below passes.")
-    checks: dict[str, str] = Field(description='"ok", or what is wrong.')
+    ready: bool = Field(description="True if every check passes.")
+    checks: dict[str, str] = Field(description='"ok" or the problem, by name of the check.')
 
 
 class Frame(Telemetry):
     """One point of the live plot, about 25 a second.
 
-    `force_peak_n` is the largest |F| of every sample since the last frame, so that thinning out hides no peak.
+    `force_peak_n` is the largest |F| of all samples since the last frame, so the reduced rate hides no peak.
     """

@@ -21,6 +21,7 @@ SILENT_TEXT = (
     "The control process does not answer. The robot's state is not known here: "
     "if it may be moving, use the robot's own emergency stop."
 )
+INTERNAL_TEXT = "Internal error of this server. Its log has the trace under this request_id."
 
 STATUS_OF_REASON: dict[RefusalReason, int] = {
     RefusalReason.INVALID_REQUEST: 422,
@@ -39,25 +40,27 @@ STATUS_OF_REASON: dict[RefusalReason, int] = {
 
 
 class FieldError(BaseModel):
-    """One field of a request that was refused."""
+    """One refused field of a request."""
 
-    location: str = Field(description="Where: `body.recipe`, `query.limit`, `header.Idempotency-Key`.")
+    location: str = Field(
+        description="Location of the field, for example `body.recipe`, `query.limit` or `header.Idempotency-Key`."
+    )
     message: str
 
 
 class ProblemDetails(BaseModel):
-    """RFC 9457 problem details, with what a client of a cell needs to decide what to do next."""
+    """RFC 9457 problem details, with the members that a client of a cell needs to decide on its next step."""
 
     type: str = Field("about:blank", description="`urn:dsl-assembly:problem:<reason>`, or `about:blank`.")
     title: str
     status: int
     detail: str = Field("", description="What is wrong, where, and what to do about it.")
     instance: str = Field("", description="Path of the request.")
-    request_id: str | None = Field(None, description="Stands in the server's log lines of this request.")
-    reason: str | None = Field(None, description="Why it was refused, for programs.")
-    code: FaultCode | None = Field(None, description="The fault in force, where there is one.")
-    state: CellState | None = Field(None, description="The cell's state when it refused.")
-    errors: list[FieldError] | None = Field(None, description="Fields refused by validation.")
+    request_id: str | None = Field(None, description="Id of this request in the server's log lines.")
+    reason: str | None = Field(None, description="Stable name of the reason, for programs.")
+    code: FaultCode | None = Field(None, description="Fault in force, if any.")
+    state: CellState | None = Field(None, description="State of the cell when it refused.")
+    errors: list[FieldError] | None = Field(None, description="Fields that were refused.")
 
 
 class ProblemError(Exception):
@@ -66,10 +69,10 @@ class ProblemError(Exception):
     Args:
         status: HTTP status.
         reason: stable name for programs, in capitals.
-        detail: for people.
-        code: the fault in force.
-        state: the cell's state.
-        field: location of the one field that is wrong.
+        detail: text for people.
+        code: fault in force.
+        state: state of the cell.
+        field: location of the wrong field, if it is one.
     """
 
     def __init__(
@@ -175,7 +178,7 @@ def install(app: FastAPI) -> None:
 
     async def on_anything(request: Request, error: Exception) -> JSONResponse:
         structlog.get_logger().exception("unhandled", path=request.url.path)
-        return problem_response(request, 500, "An error of this server's own; its log has the trace under request_id.")
+        return problem_response(request, 500, INTERNAL_TEXT)
 
     app.add_exception_handler(ProblemError, on_problem)
     app.add_exception_handler(CellRefusedError, on_refused)
@@ -209,6 +212,6 @@ _EXAMPLES: dict[int, dict[str, Any]] = {
         "UNKNOWN_RECIPE",
         errors=[FieldError(location="body.recipe", message="recipe 'cube' is not in this cell's configuration")],
     ),
-    500: _example(500, "An error of this server's own; its log has the trace under request_id."),
+    500: _example(500, INTERNAL_TEXT),
     503: _example(503, SILENT_TEXT, "CELL_SILENT", state=CellState.UNKNOWN),
 }

@@ -1,8 +1,8 @@
-"""What every request passes before the application sees it: local address, Host, Origin, body length, headers.
+"""Checks on every request before the application sees it: local address, Host, Origin, body length. Adds headers.
 
-A browser on the operator's machine can be made to send requests here by any page that it shows. Three checks stop it:
-the connection came in on a loopback address, `Host` is a name of this machine (a rebound name is refused), and a
-request that changes something comes from a page of ours or from no page at all.
+Any page that a browser on the operator's machine shows can make the browser send requests here. Three checks stop such
+requests. The connection must arrive on a loopback address. `Host` must be a name of this machine, so a rebound name is
+refused. A request that changes something must come from this server's own page or from no page at all.
 """
 
 import ipaddress
@@ -40,12 +40,12 @@ _log = structlog.get_logger("api.request")
 
 
 class Protection:
-    """ASGI middleware; the outermost one.
+    """The outermost ASGI middleware.
 
     Args:
-        app: what it protects.
-        hosts: names, beside the loopback ones, that a `Host` header may hold.
-        allow_remote: accept connections that came in on another address than loopback.
+        app: application to protect.
+        hosts: names that a `Host` header may hold, besides the loopback names.
+        allow_remote: True: accept connections that arrive on an address other than loopback.
     """
 
     def __init__(self, app: ASGIApp, hosts: Collection[str] = (), allow_remote: bool = False) -> None:
@@ -57,7 +57,7 @@ class Protection:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        if scope["type"] != "http":  # no websocket is served; one is closed before its handshake
+        if scope["type"] != "http":  # there are no websockets here; one is closed before its handshake
             await send({"type": "websocket.close", "code": 1008, "reason": "not served"})
             return
         request_id = uuid.uuid4().hex[:16]
@@ -80,7 +80,7 @@ class Protection:
             await self._checked(scope, receive, send_protected)
         finally:
             status = answered.get("status", 0)
-            # Pages and probes read several times a second; what they read is no news unless it fails.
+            # Pages and probes read several times a second, so only a failed read is logged above debug level.
             quiet = scope["method"] in SAFE_METHODS and 0 < status < 400
             _log.log(
                 logging.DEBUG if quiet else logging.INFO,
@@ -98,7 +98,7 @@ class Protection:
             await problem_response(Request(scope), status, detail, reason=reason)(scope, receive, send)
             return
         if scope["path"] == STOP_PATH:
-            # A stop has no body worth reading, and none may delay or refuse it.
+            # A stop needs no body, so a body must neither delay nor refuse it.
             await self._app(scope, _empty_body(receive), send)
             return
         await self._app(scope, _limited(receive), send)
@@ -112,7 +112,7 @@ class Protection:
                 "NOT_LOOPBACK",
                 (
                     f"This cell is served on loopback only, and the request came in on {server[0]}. There is no "
-                    "authorisation yet: set allow_remote in the API's settings to accept other machines all the same."
+                    "authorisation yet: set allow_remote in the API's settings to accept other machines nevertheless."
                 ),
             )
         host = headers.get("host", "")
@@ -169,7 +169,7 @@ def _hostname(host: str) -> str:
 
 
 def is_loopback(address: str) -> bool:
-    """Return whether an address, or `localhost`, is this machine's own."""
+    """Return whether an address is `localhost` or a loopback address."""
     if address == "localhost":
         return True
     try:

@@ -1,4 +1,4 @@
-"""What the handlers need, made at start-up and handed to them by the framework."""
+"""Objects that the handlers share. They are made at start-up and injected by the framework."""
 
 import asyncio
 from collections.abc import Coroutine
@@ -21,10 +21,10 @@ class Runtime:
     """One running API.
 
     Attributes:
-        config: of the cell, as read at start-up.
+        config: configuration of the cell, as read at start-up.
         cell: the followed cell.
-        control_process: the one behind this server, started by it or joined.
-        closing: set when the server was told to end; streams return then.
+        control_process: control process behind this server, started by the server or joined.
+        closing: event that is set when the server is told to end; streams return then.
     """
 
     config: CellConfig
@@ -33,10 +33,10 @@ class Runtime:
     closing: asyncio.Event
 
     async def unless_closing(self, work: Coroutine[Any, Any, T]) -> T:
-        """Await `work`, but not past the moment at which the server is told to end.
+        """Await `work`, but no longer than until the server is told to end.
 
         Raises:
-            ProblemError: the server ends; what became of `work` is not known.
+            ProblemError: the server ends; the outcome of `work` is not known.
         """
         task = asyncio.ensure_future(work)
         closing = asyncio.ensure_future(self.closing.wait())
@@ -48,7 +48,9 @@ class Runtime:
             task.cancel()
             closing.cancel()
         raise ProblemError(
-            503, "SHUTTING_DOWN", "This server ends. Whether the request was carried out is not known: see GET /status."
+            503,
+            "SHUTTING_DOWN",
+            "This server is shutting down. It is not known whether the request was carried out: see GET /status.",
         )
 
     def status(self) -> CellStatus:

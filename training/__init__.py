@@ -1,6 +1,6 @@
 """Training, evaluation and export of policies; the import registers `dsl_assembly/PegInHole-v0` with Gymnasium.
 
-Gymnasium comes with the extra `training`. Modules that need it import it themselves.
+The extra `training` installs Gymnasium. Without it, this package still imports; modules that need Gymnasium do not.
 """
 
 from importlib.util import find_spec

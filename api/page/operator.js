@@ -1,4 +1,4 @@
-// The operator's page. What it shows was measured or told within the last second; otherwise it says UNKNOWN.
+// The operator's page. It shows measurements and reports of the last second; without any it shows UNKNOWN.
 import { LivePlots } from "./plots.js";
 
 const SILENCE_MS = 1000;
@@ -6,8 +6,8 @@ const RUNS_SHOWN = 6;
 const JOURNAL_SHOWN = 7;
 const MARKS = { READY: "✓", PREFLIGHT: "▶", APPROACH: "▶", RUNNING: "▶", RETRACT: "▶", STOPPING: "■", LATCHED: "■",
   OFFLINE: "○", CONNECTING: "○", UNKNOWN: "?" };
-const WORDS = { READY: "The arm stands. A start is possible.", PREFLIGHT: "Checking before it moves.",
-  APPROACH: "Moving to the hole.", RUNNING: "Inserting.", RETRACT: "Moving away.", STOPPING: "Stopping: not yet measured standing.",
+const WORDS = { READY: "The arm stands still. You can start.", PREFLIGHT: "Checking before motion.",
+  APPROACH: "Moving to the hole.", RUNNING: "Inserting.", RETRACT: "Moving away.", STOPPING: "Stopping. Standstill is not measured yet.",
   OFFLINE: "The arm is not connected.", CONNECTING: "Connecting to the arm." };
 
 const at = (id) => document.getElementById(id);
@@ -15,13 +15,13 @@ const number = (value, digits) => (value === null || value === undefined ? "–"
 const clock = (seconds) => new Date(1e3 * seconds).toLocaleTimeString("en-GB");
 const plots = new LivePlots(at("force-plot"), at("depth-plot"));
 
-let status = null; // the last one received
-let heardAt = -Infinity; // when, by performance.now()
+let status = null; // the last status received
+let heardAt = -Infinity; // time of its arrival on performance.now()'s clock, ms
 let journal = null;
 let frames = null;
 let shownRun = "";
 
-// --- what is shown
+// --- display
 
 function show() {
   const live = performance.now() - heardAt <= SILENCE_MS;
@@ -51,8 +51,8 @@ function show() {
 }
 
 function reason(state, live) {
-  if (!live) return "No connection to the server. What the robot does is not known here.";
-  if (state === "UNKNOWN") return `${status.why_not ?? ""} What the robot does is not known here.`;
+  if (!live) return "No connection to the server. The robot's state is not known here.";
+  if (state === "UNKNOWN") return `${status.why_not ?? ""} The robot's state is not known here.`;
   if (state === "LATCHED" && status.latch) return `${status.latch.code}: ${status.latch.text} – look at the cell, then reset below.`;
   const run = status.run;
   if (run && run.state === "ACTIVE") {
@@ -68,7 +68,7 @@ function setText(id, text) {
 }
 
 function answer(text, kind) {
-  // With its time, so that an old answer is not taken for the present state.
+  // The time keeps an old answer from looking like the present state.
   setText("answer", `${clock(Date.now() / 1e3)} ${text}`);
   at("answer").className = kind;
 }
@@ -78,7 +78,7 @@ function rows(runs) {
   return runs.map((run) => {
     const row = document.createElement("tr");
     const outcome = good[run.state] ?? `✗ ${run.code ?? run.state}`;
-    // Where the control process died, what was measured died with it.
+    // A control process that died took its measurements with it.
     const measured = run.state !== "INTERRUPTED" || run.peak_force_n > 0;
     const cells = [clock(run.requested_at), run.recipe, run.seed ?? "–", outcome,
       run.depth_m === null ? "–" : `${number(1e3 * run.depth_m, 1)} mm`,
@@ -97,7 +97,7 @@ async function readRuns() {
     const page = await response.json();
     if (page.runs.length) at("runs").replaceChildren(...rows(page.runs));
   } catch {
-    // The banner says that the server is gone.
+    // The banner tells that the server is gone.
   }
 }
 
@@ -111,7 +111,7 @@ function note(event) {
   while (at("journal").children.length > JOURNAL_SHOWN) at("journal").lastChild.remove();
 }
 
-// --- what is heard
+// --- streams
 
 function listen() {
   journal ??= openJournal();
@@ -160,7 +160,7 @@ function openFrames() {
 }
 
 function reopen() {
-  // After an answer that was no stream the browser does not try again by itself.
+  // The browser does not reconnect by itself after an answer that is not a stream.
   setTimeout(() => {
     hush();
     if (!document.hidden) listen();
@@ -174,10 +174,10 @@ function hush() {
   heardAt = -Infinity;
 }
 
-// A browser opens six connections to a server, all windows together. Hidden pages hold none.
+// A browser opens at most six connections to a server for all its windows, so a hidden page holds none.
 document.addEventListener("visibilitychange", () => (document.hidden ? hush() : listen()));
 
-// --- what is commanded
+// --- commands
 
 async function post(path, body, headers = {}) {
   const json = body === undefined ? {} : { "Content-Type": "application/json" };
@@ -190,11 +190,11 @@ async function post(path, body, headers = {}) {
 
 at("stop").addEventListener("click", async () => {
   answer("Stop sent …", "");
-  frames?.close(); // leaves a connection free for the stop, whatever else is open
+  frames?.close(); // frees a connection for the stop
   frames = null;
   try {
     const { document: told } = await post("/stop");
-    answer(told.confirmed ? "Stopped: the arm is measured standing." : `Stop received. ${told.detail}`, told.confirmed ? "good" : "bad");
+    answer(told.confirmed ? "Stopped: standstill is measured." : `Stop received: ${told.detail}`, told.confirmed ? "good" : "bad");
   } catch (error) {
     answer(`STOP NOT CONFIRMED. ${error instanceof TypeError ? "The server does not answer. Use the robot's own emergency stop." : error.message}`, "bad");
   } finally {
@@ -202,7 +202,7 @@ at("stop").addEventListener("click", async () => {
   }
 });
 
-let pending = null; // a start whose answer did not come is repeated with its key, and starts nothing twice
+let pending = null; // a start without an answer is repeated with the same key, so that it starts nothing twice
 
 at("start-form").addEventListener("submit", async (submit) => {
   submit.preventDefault();

@@ -1,4 +1,4 @@
-// The two live plots: force with its ceiling, depth with the depth that the lock permits.
+// The two live plots: force with its ceiling, and depth with the depth that the lock permits.
 import uPlot from "./vendor/uPlot.esm.js";
 
 const WINDOW_S = 20;
@@ -16,7 +16,7 @@ export class LivePlots {
     ], { range: (_plot, low, high) => [Math.min(-5, low ?? 0), Math.max(1.1 * (this.ceiling ?? 10), high ?? 0)] });
     this.depth = this.#plot(depthFigure, [
       { label: "depth", stroke: "#0072b2", width: 2 },
-      { label: "limit by the lock", stroke: "#b84300", width: 2, dash: [6, 3], spanGaps: false },
+      { label: "limit of the lock", stroke: "#b84300", width: 2, dash: [6, 3], spanGaps: false },
     ], { dir: -1, range: (_plot, low, high) => [Math.min(-5, low ?? 0), Math.max(5, high ?? 0)] });
     this.sizes = new ResizeObserver(() => this.#resize());
     this.sizes.observe(forceFigure);
@@ -25,7 +25,7 @@ export class LivePlots {
 
   add(frame) {
     const last = this.frames.at(-1);
-    if (last && (frame.t <= last.t || frame.t - last.t > WINDOW_S)) this.frames.length = 0; // the arm's clock began anew
+    if (last && (frame.t <= last.t || frame.t - last.t > WINDOW_S)) this.frames.length = 0; // the arm's clock restarted
     this.frames.push(frame);
     while (this.frames[0].t < frame.t - WINDOW_S) this.frames.shift();
     this.dirty = true;

@@ -20,10 +20,10 @@ _log = structlog.get_logger("api.commands")
 @router.post(
     "/start",
     operation_id="start",
-    summary="Ask for one insertion",
+    summary="Request one insertion",
     status_code=202,
     response_model=Run,
-    responses={202: {"description": "Accepted; follow it at `Location`."}, **described(409, 413, 422, 503)},
+    responses={202: {"description": "Accepted; follow the run at `Location`."}, **described(409, 413, 422, 503)},
 )
 async def start(
     body: StartBody,
@@ -35,15 +35,15 @@ async def start(
             min_length=1,
             max_length=128,
             pattern=r"^[\x21-\x7e]+$",
-            description="The same key again answers with the same run and starts nothing. Send one, so that a start "
-            "whose answer got lost can be repeated safely.",
+            description="A repeated key is answered with the same run and starts nothing. With a key, a start whose "
+            "answer was lost can be repeated safely.",
             examples=["5e0f6a2e-8a3b-4a60-9c5f-0c6f3c1f1b1a"],
         ),
     ] = None,
 ) -> Run:
-    """Answer 202 with the run once the cell has accepted it; 409 with the fault's code where its state forbids a start.
+    """Answer 202 with the run once the cell has accepted it, or 409 with the fault's code if its state forbids a start.
 
-    The run goes on by itself: follow it by `GET /runs/{id}`, `GET /status` or `GET /events`.
+    The run continues on its own: follow it with `GET /runs/{id}`, `GET /status` or `GET /events`.
     """
     if runtime.cell.is_silent:
         raise ProblemError(503, "CELL_SILENT", runtime.status().why_not or SILENT_TEXT, state=CellState.UNKNOWN)
@@ -60,8 +60,8 @@ async def start(
         raise ProblemError(
             503,
             "CELL_SILENT",
-            "The control process did not answer in time, so whether it accepted the start is not known: look at "
-            "GET /status, or send the same request again with the same Idempotency-Key.",
+            "The control process did not answer in time. It is not known whether it accepted the start: see "
+            "GET /status, or repeat the request with the same Idempotency-Key.",
             state=CellState.UNKNOWN,
         ) from error
     run = result.run
@@ -82,19 +82,19 @@ async def start(
 @router.post(
     "/stop",
     operation_id="stop",
-    summary="Stop whatever moves",
+    summary="Stop all motion",
     response_model=StopAnswer,
     responses={
-        200: {"description": "The arm was measured standing after the stop command."},
-        202: {"model": StopAnswer, "description": "The control process has the stop; standing is not measured yet."},
+        200: {"description": "Standstill of the arm was measured after the stop command."},
+        202: {"model": StopAnswer, "description": "The control process has the stop; standstill is not measured yet."},
         **described(503),
     },
 )
 async def stop(request: Request, response: Response) -> StopAnswer:
-    """Stop now. Accepted in every state, without a body, any number of times.
+    """Stop now. A stop is accepted in every state, without a body, any number of times.
 
-    Goes to the control process on a session of its own, past the history and every other request. This is process
-    protection: it is not the robot's emergency stop and replaces no certified safety function.
+    It goes to the control process on a session of its own, ahead of the history and every other request. This is
+    process protection: it is not the robot's emergency stop and replaces no certified safety function.
     """
     runtime = runtime_of(request)
     stopper = runtime.cell.stopper
@@ -112,9 +112,9 @@ async def stop(request: Request, response: Response) -> StopAnswer:
         confirmed=confirmed,
         state=status.state if stopper.is_alive else CellState.UNKNOWN,
         measured=status.measured,
-        detail="measured standing"
+        detail="standstill is measured"
         if confirmed
-        else "the control process has the stop, but the arm is not measured standing yet: watch GET /status",
+        else "the control process has the stop, but standstill is not measured yet: watch GET /status",
     )
 
 
@@ -125,9 +125,10 @@ async def stop(request: Request, response: Response) -> StopAnswer:
     responses=described(409, 413, 422, 503),
 )
 async def reset(body: ResetBody, runtime: RuntimeDependency) -> StopAnswer:
-    """Acknowledge the latched fault after looking at the cell. Moves nothing and resumes no run.
+    """Acknowledge the latched fault after looking at the cell. This moves nothing and resumes no run.
 
-    409 where nothing is latched, another fault is in force than the one acknowledged, or force is above the limit.
+    The answer is 409 if nothing is latched, if the fault in force differs from the acknowledged one, or if the force is
+    above the limit.
     """
     if runtime.cell.is_silent:
         raise ProblemError(503, "CELL_SILENT", SILENT_TEXT, state=CellState.UNKNOWN)

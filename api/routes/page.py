@@ -1,4 +1,4 @@
-"""The operator's page: rendered here, kept live by its script; nothing is fetched from elsewhere."""
+"""The operator's page. It is rendered here and kept live by its script; it loads nothing from other servers."""
 
 from html import escape
 from pathlib import Path
@@ -19,13 +19,13 @@ _TEMPLATE = Template((FOLDER / "index.html").read_text(encoding="utf-8"))
 @router.get("/", response_class=HTMLResponse)
 async def page(runtime: RuntimeDependency) -> HTMLResponse:
     config = runtime.config
-    # The state comes with the first event: a page that was rendered a moment ago knows nothing of now.
+    # The state comes with the first event, because a rendered page is out of date when it arrives.
     return HTMLResponse(
         _TEMPLATE.substitute(
             cell=escape(config.cell.id),
             state=CellState.UNKNOWN.value,
             mark="?",
-            reason="Connecting. What the robot does is not known here yet.",
+            reason="Connecting. The robot's state is not known here yet.",
             driver=escape(config.cell.driver),
             ceiling=f"{config.limits.force_ceiling_n:.0f}",
             recipes="".join(f"<option>{escape(name)}</option>" for name in config.recipes),

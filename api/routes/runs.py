@@ -20,14 +20,14 @@ async def list_runs(
     request: Request,
     response: Response,
     runtime: RuntimeDependency,
-    limit: Annotated[int, Query(ge=1, le=200, description="Runs on a page.")] = 20,
+    limit: Annotated[int, Query(ge=1, le=200, description="Largest number of runs on the page.")] = 20,
     before: Annotated[str | None, Query(max_length=64, description="Only runs older than this one.")] = None,
 ) -> RunPage:
-    """Answer one page; `next` and the `Link` header lead to the one with older runs."""
+    """Answer with one page. `next` and the `Link` header lead to the page with older runs."""
     try:
         runs = await runtime.cell.history.newest(limit + 1, before)
     except KeyError as error:
-        raise ProblemError(404, "UNKNOWN_RUN", f"No run {before} to page from.", field="query.before") from error
+        raise ProblemError(404, "UNKNOWN_RUN", f"There is no run {before}.", field="query.before") from error
     except HistoryError as error:
         raise ProblemError(503, "STORAGE", str(error)) from error
     page = [runtime.cell.current(run) for run in runs[:limit]]
@@ -39,10 +39,10 @@ async def list_runs(
 
 @router.get("/runs/{run_id}", operation_id="get_run", summary="One run", responses=described(404, 422, 503))
 async def get_run(run_id: RunId, runtime: RuntimeDependency) -> Run:
-    """Answer with the run as the control process last told it."""
+    """Answer with the run as the control process last reported it."""
     try:
         run = await runtime.cell.history.find(run_id)
     except HistoryError as error:
         raise ProblemError(503, "STORAGE", str(error)) from error
-    # Not in the history: the control process refuses by UNKNOWN_RUN, or has it and it is on its way here.
+    # A run that is not in the history yet is still on its way here, or the control process refuses with UNKNOWN_RUN.
     return await runtime.cell.client.run(run_id) if run is None else runtime.cell.current(run)

@@ -13,24 +13,24 @@ router = APIRouter(tags=["state"])
 FRESH_SAMPLE_S = 0.5
 
 
-@router.get("/status", operation_id="status", summary="What is measured now")
+@router.get("/status", operation_id="status", summary="Measured state of the cell")
 async def status(runtime: RuntimeDependency) -> CellStatus:
-    """Answer with the control process's last heartbeat, or UNKNOWN with its age where that is not fresh.
+    """Answer with the control process's last heartbeat, or with UNKNOWN and the heartbeat's age if it is not fresh.
 
-    Never with what was merely commanded.
+    The answer never reports what was merely commanded.
     """
     return runtime.status()
 
 
-@router.get("/health", operation_id="health", summary="Liveness, and what readiness lacks")
+@router.get("/health", operation_id="health", summary="Liveness and the checks of readiness")
 async def health(runtime: RuntimeDependency) -> Health:
-    """Answer 200 while this server lives; `ready` and `checks` say whether it could serve an operator."""
+    """Answer 200 while this server is alive. `ready` and `checks` say whether it can serve an operator."""
     return await _health(runtime)
 
 
 @router.get("/health/ready", operation_id="ready", summary="Readiness", responses=described(503))
 async def ready(runtime: RuntimeDependency) -> Health:
-    """Answer 200 when every check passes, else 503 naming those that do not."""
+    """Answer 200 if every check passes, else 503 with the names of the failed checks."""
     found = await _health(runtime)
     if not found.ready:
         failed = "; ".join(f"{name}: {text}" for name, text in found.checks.items() if text != "ok")

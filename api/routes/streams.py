@@ -1,4 +1,4 @@
-"""Server-sent events: the journal with the status, and the live plot."""
+"""Server-sent events: the journal with the status, and the points of the live plot."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -31,13 +31,15 @@ RECONNECT_MS = 500
 async def events(
     runtime: RuntimeDependency,
     last_event_id: Annotated[
-        str | None, Header(max_length=128, description="Id of the last event that the client has; it goes on after it.")
+        str | None, Header(max_length=128, description="Id of the client's last event; the stream continues after it.")
     ] = None,
-    replay: Annotated[int, Query(ge=0, le=100, description="Newest events to begin with, without an id.")] = 0,
+    replay: Annotated[
+        int, Query(ge=0, le=100, description="Number of newest events to begin with, if no id is given.")
+    ] = 0,
 ) -> AsyncIterator[ServerSentEvent]:
     """Stream `event` (an `Event`, with id), `status` (a `CellStatus`, at least four a second) and `resync`.
 
-    `resync` says that events after `Last-Event-ID` were lost to this client: read `GET /runs` anew.
+    `resync` means that events after `Last-Event-ID` are lost: read `GET /runs` again.
     """
     with runtime.cell.feed.subscribe(last_event_id, replay) as subscription:
         yield ServerSentEvent(event="status", data=runtime.status(), retry=RECONNECT_MS)
@@ -58,7 +60,7 @@ async def events(
     response_class=EventSourceResponse,
 )
 async def telemetry(runtime: RuntimeDependency) -> AsyncIterator[ServerSentEvent]:
-    """Stream `frame` (a `Frame`); nothing while the arm is not measured. A slow client skips frames, never lags."""
+    """Stream `frame` (a `Frame`), but none while the arm is not measured. A slow client skips frames and never lags."""
     async with runtime.cell.client.telemetry() as points:
         yield ServerSentEvent(comment="telemetry", retry=RECONNECT_MS)
         while not runtime.closing.is_set():

@@ -1,6 +1,6 @@
-"""What a driver is to the cell: samples up, pose targets and stop down. A new arm is one class with these methods.
+"""The driver interface: samples go up to the cell; pose targets and stops go down to the arm. A new arm is one class.
 
-Everything here runs on the event loop's thread, and nothing in it waits: a driver that needs to wait has a task or a
+All methods run on the event loop's thread, and none of them blocks. A driver that has to wait does so in a task or
 thread of its own and hands over what it received. Frames, units and signs are those of `docs/reference/frames.md`.
 """
 
@@ -18,7 +18,7 @@ from wire.task import Task
 
 
 class DriverError(Exception):
-    """The arm cannot be reached, or cannot do what was asked; `code` says which, the text what to do."""
+    """The arm cannot be reached or cannot do what was asked. `code` names the fault; the text says what to do."""
 
     def __init__(self, code: FaultCode, text: str) -> None:
         super().__init__(text)
@@ -31,24 +31,24 @@ class Sample:
 
     Attributes:
         epoch: identity of the source; another value means that the source was restarted.
-        episode: how often that source laid out its world; 0 for a real arm.
+        episode: number of times that the source laid out its world; 0 for a real arm.
         seq: tick of the source; increases by one.
-        time_s: the source's clock.
-        arrival_s: the host's injected monotonic clock (`Driver.clock`) when the sample arrived.
+        time_s: time on the source's clock, s.
+        arrival_s: time of arrival on the host's injected monotonic clock (`Driver.clock`), s.
         q: (6,) joint angles, rad.
         qd: (6,) joint speeds, rad/s.
-        tcp_position: (3,) m.
-        tcp_rotvec: (3,) rad.
-        tcp_velocity: (6,) m/s and rad/s.
+        tcp_position: (3,) position of the TCP, m.
+        tcp_rotvec: (3,) rotation vector of the TCP, rad.
+        tcp_velocity: (6,) velocity of the TCP, m/s and rad/s.
         wrench: (6,) N and N·m at the TCP, base frame, zeroed and payload-compensated.
-        saturated: a channel of the sensor is at the end of its range.
-        hole_estimate: (3,) centre of the hole's mouth by the camera, m; None without one.
+        saturated: True if a channel of the sensor is at the end of its range.
+        hole_estimate: (3,) the camera's estimate of the centre of the hole's mouth, m; None without one.
         program: state of the control program on the arm's controller.
-        stop_reason: why that program last left ENGAGED.
-        robot_mode: `RobotMode`, or a number that it does not know.
-        safety_mode: `SafetyMode`, likewise.
-        command_seq: last command that the arm accepted.
-        peak_force_n: largest resultant since ENGAGE, as the arm's controller itself saw it.
+        stop_reason: reason for which that program last left ENGAGED.
+        robot_mode: `RobotMode`, or a number that `RobotMode` lacks.
+        safety_mode: `SafetyMode`, or a number that `SafetyMode` lacks.
+        command_seq: sequence number of the last command that the arm accepted.
+        peak_force_n: largest resultant force since ENGAGE, as measured by the arm's controller, N.
     """
 
     epoch: int
@@ -74,57 +74,57 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class PoseTarget:
-    """Where the TCP shall go: `position` (3,) m and `rotvec` (3,) rad, base frame."""
+    """Target pose of the TCP: `position` (3,) m and `rotvec` (3,) rad, base frame."""
 
     position: FloatArray
     rotvec: FloatArray
 
 
 class SampleSink(Protocol):
-    """The cell, as its driver sees it. Called on the event loop's thread; returns before the next sample."""
+    """Receiver of a driver's samples: the cell. Its methods run on the event loop's thread and do not block."""
 
     def on_sample(self, sample: Sample) -> None: ...
 
     def on_link_fault(self, code: FaultCode, text: str) -> None:
-        """The link is broken or not to be believed; samples may or may not go on."""
+        """Take note that the link is broken or not trustworthy. Samples may or may not continue."""
         ...
 
 
 class Driver(Protocol):
-    """One arm."""
+    """One arm, real or simulated."""
 
     @property
     def name(self) -> str:
-        """For status and logs: kind and address."""
+        """Kind and address of the arm, for status and logs."""
         ...
 
     @property
     def mode(self) -> Literal["real_time", "lockstep"]:
-        """Whether time passes by itself, or only as far as this driver lets it."""
+        """Time mode. In `real_time` time passes by itself; in `lockstep` only this driver advances it."""
         ...
 
     @property
     def simulated(self) -> bool:
-        """Whether a run's world is drawn from a seed; a real arm refuses one."""
+        """True if a run's world is drawn from a seed. A real arm refuses a seed."""
         ...
 
     @property
     def tick_s(self) -> float:
-        """Period of the samples."""
+        """Period of the samples, s."""
         ...
 
     @property
     def clock(self) -> Callable[[], float]:
-        """Monotonic seconds: the host's in real time, the world's in lockstep. The cell knows no other clock."""
+        """Monotonic clock, s: the host's in real time, the world's in lockstep. The cell uses no other clock."""
         ...
 
     @property
     def samples_dropped(self) -> int:
-        """Samples that never reached the sink because it was too slow; their force was checked all the same."""
+        """Number of samples that a slow sink did not receive. Their largest force was checked nevertheless."""
         ...
 
     async def connect(self, sink: SampleSink) -> None:
-        """Reach the arm and let samples flow into `sink`. May be called again after a link fault.
+        """Connect to the arm and deliver its samples to `sink`. May be called again after a link fault.
 
         Raises:
             DriverError: the arm cannot be reached or speaks another version.
@@ -132,10 +132,10 @@ class Driver(Protocol):
         ...
 
     async def prepare(self, task: Task | None) -> None:
-        """Lay out the world of a run; return once samples of it flow.
+        """Lay out the world of a run; return once its samples arrive.
 
         Args:
-            task: the episode that a simulated world draws; None on a real arm.
+            task: episode for a simulated world; None for a real arm.
 
         Raises:
             DriverError: the world cannot be laid out; a real arm was given a task.
@@ -143,7 +143,7 @@ class Driver(Protocol):
         ...
 
     def engage(self, law: ComplianceLaw, limits: ControlLimits) -> None:
-        """Start the control program; its target is the present pose."""
+        """Start the control program with the present pose as its target."""
         ...
 
     def send_target(self, target: PoseTarget) -> int:
@@ -151,22 +151,22 @@ class Driver(Protocol):
         ...
 
     def stop(self) -> None:
-        """Decelerate, hold and disengage. Never blocks, never raises, may be called at any rate in any state."""
+        """Decelerate, hold and disengage. It never blocks or raises and may be called at any rate in any state."""
         ...
 
     def escalate(self) -> None:
-        """Last resort after a stop that no standstill was measured for: whatever the arm has beyond `stop`.
+        """Use the arm's last resort beyond `stop`, after a stop without measured standstill.
 
-        Like it, this never blocks and never raises.
+        Like `stop`, it never blocks or raises.
         """
         ...
 
     def zero_ft(self) -> None:
-        """Take the present wrench as zero. Only in free air, and not while engaged."""
+        """Take the present wrench as zero. Call it only in free air and not while engaged."""
         ...
 
     def unlock(self) -> None:
-        """Leave the arm's protective stop: part of an operator's reset."""
+        """Release the arm's protective stop, as part of an operator's reset."""
         ...
 
     async def close(self) -> None:

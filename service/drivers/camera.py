@@ -1,4 +1,4 @@
-"""Estimates of the hole's position, for a driver whose arm does not bring them along."""
+"""Cameras that estimate the hole's position, for a driver whose arm delivers no estimate."""
 
 import asyncio
 import math
@@ -18,46 +18,46 @@ _log = structlog.get_logger("service.drivers")
 
 
 class Camera(Protocol):
-    """Whatever knows where the hole is."""
+    """A source of estimates of the hole's position."""
 
     @property
     def episode(self) -> int:
-        """How often the simulated world that it looks at was laid out; 0 for a real one, or before the first frame."""
+        """Number of times that the observed simulated world was laid out; 0 without one or before the first frame."""
         ...
 
     async def open(self) -> None:
-        """Let frames come; may be called again.
+        """Connect to the camera; may be called again.
 
         Raises:
-            OSError: there is no way to the camera.
+            OSError: the camera cannot be reached.
         """
         ...
 
     def estimate(self, now: float) -> FloatArray | None:
-        """(3,) centre of the hole's mouth, base frame, m; None without one that is fresh.
+        """Return the (3,) centre of the hole's mouth, base frame, m; None without a fresh estimate.
 
         Args:
-            now: by the driver's clock.
+            now: time on the driver's clock, s.
         """
         ...
 
     async def close(self) -> None:
-        """Release what it holds."""
+        """Release the connection."""
         ...
 
 
 class ZenohCamera:
-    """A camera that publishes `wire.CAMERA` records; the newest one counts, as long as it is fresh.
+    """A camera that publishes `wire.CAMERA` records over Zenoh. The newest record counts while it is fresh.
 
-    A frame that comes again, or after a newer one, refreshes nothing: a camera that hangs behind a publisher that does
-    not is as good as none. One of a world laid out anew is the first. Two publishers at once, by their `epoch`, are
-    none: one of them may look at another cell.
+    A repeated or older frame refreshes nothing, so a publisher that repeats the last frame of a hanging camera soon
+    counts as no camera. The first frame of a newly laid out world is always taken. Two publishers at once, told apart
+    by their `epoch`, give no estimate, because one of them may look at another cell.
 
     Args:
-        endpoint: of the publisher.
-        key: under which it publishes.
-        max_age_s: an older estimate is none.
-        clock: monotonic seconds of the host.
+        endpoint: endpoint of the publisher.
+        key: key under which it publishes.
+        max_age_s: largest age of an estimate, s; an older one counts as none.
+        clock: monotonic clock of the host, s.
     """
 
     def __init__(self, endpoint: str, key: str, max_age_s: float, clock: Callable[[], float]) -> None:
@@ -94,12 +94,12 @@ class ZenohCamera:
             await asyncio.to_thread(close_session, session)
 
     def _receive(self, message: zenoh.Sample) -> None:
-        """On Zenoh's thread."""
+        """Take in a message. Runs on Zenoh's thread."""
         arrival_s = self._clock()
         try:
             records = wire.decode(message.payload.to_bytes(), wire.CAMERA)
         except wire.WireError as error:
-            if not self._told:  # once: the next frame is a fortieth of a second away
+            if not self._told:  # only once, because frames follow each other within a fraction of a second
                 _log.error("camera", key=self._key, error=str(error))
             self._told = True
             return

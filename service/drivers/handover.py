@@ -1,4 +1,4 @@
-"""From the transport's thread to the event loop: the newest samples win, and none escapes the force check."""
+"""Hands samples from the transport's thread to the event loop. The newest win; no force peak escapes the check."""
 
 import threading
 from collections import deque
@@ -9,14 +9,14 @@ from service.drivers.base import Sample
 from service.faults import FaultCode
 
 CAPACITY = 64
-"""Samples that may wait, 128 ms at 500 Hz: a loop further behind than that has latched STALE."""
+"""Samples that may wait: 128 ms at 500 Hz. A loop that is further behind has latched STALE."""
 
 
 class Handover:
     """A bounded queue of samples with one writer and one reader.
 
-    When it is full the oldest sample goes. Of those dropped, the ones with the largest force and with the largest
-    torque are kept and come out first: a peak that falls into an overload still meets its ceiling.
+    A full queue drops its oldest sample. Among the dropped samples, the ones with the largest force and the largest
+    torque are kept and come out first, so a peak during an overload is still checked against its ceiling.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
@@ -38,7 +38,7 @@ class Handover:
             return self._announce()
 
     def report(self, code: FaultCode, text: str) -> bool:
-        """Put a link fault in, the first of several; return whether the reader must be woken."""
+        """Put a link fault in; the first of several is kept. Return whether the reader must be woken."""
         with self._lock:
             self._fault = self._fault or (code, text)
             return self._announce()
@@ -67,9 +67,9 @@ class Handover:
 
 
 def _severity(sample: Sample, first: int) -> float:
-    """How much the monitor must see this sample: its force (`first` 0) or torque (3), N or N·m.
+    """Return the force (`first` 0) or torque (3) of a sample, N or N·m.
 
-    Infinite where it is not a number or saturated.
+    It is infinite if the wrench is not finite or the sensor is saturated.
     """
     usable = not sample.saturated and bool(np.isfinite(sample.wrench).all())
     return float(np.linalg.norm(sample.wrench[first : first + 3])) if usable else float("inf")

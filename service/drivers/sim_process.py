@@ -1,4 +1,4 @@
-"""Starts the simulator as a process of its own where nothing listens at its endpoint, and ends what was started."""
+"""Starts the simulator as a process of its own if nothing listens at its endpoint, and ends what it started."""
 
 import asyncio
 import subprocess
@@ -21,11 +21,11 @@ _log = structlog.get_logger("service.simulator")
 
 
 class Simulator:
-    """The simulated world that a driver talks to.
+    """The simulator that a driver talks to.
 
     Args:
-        child: the process that was started for it; None where it was there before, or is none of ours.
-        endpoints: `tcp/host:port` of all that a started one must listen at.
+        child: the process that was started for it; None if it was already running or belongs to others.
+        endpoints: every `tcp/host:port` at which a started simulator must listen.
     """
 
     def __init__(self, child: Child | None = None, endpoints: Sequence[str] = ()) -> None:
@@ -33,10 +33,10 @@ class Simulator:
         self._endpoints = tuple(endpoints)
 
     def await_listening(self) -> None:
-        """Wait until a started one listens.
+        """Wait until a started simulator listens.
 
         Raises:
-            OSError: it ended at once, or does not listen in time; the text says why.
+            OSError: the simulator ended at once or does not listen in time; the text says why.
         """
         if self.child is None:
             return
@@ -52,7 +52,7 @@ class Simulator:
                 time.sleep(POLL_S)
 
     async def watch(self) -> None:
-        """Log it when a started one ends by itself; returns then, else when cancelled."""
+        """Wait until a started simulator ends by itself, log it and return. Runs until then or until cancelled."""
         if self.child is None:
             return
         while (ending := self.child.ending()) is None:
@@ -62,20 +62,20 @@ class Simulator:
 
 @contextmanager
 def simulator(arguments: Sequence[str], endpoints: Sequence[str], log: Path) -> Generator[Simulator]:
-    """Have a simulator while the context lasts; one that was there before is joined and left running.
+    """Keep a simulator running while the context lasts. A simulator that is already running is joined and left running.
 
-    A started one does not outlive this process, however this process ends.
+    A started simulator does not outlive this process, however this process ends.
 
     Args:
-        arguments: of this project's program: `CellConfig.simulator_arguments`.
-        endpoints: `tcp/host:port` of all that it must listen at; the first one tells whether it is there already.
-        log: takes the output of one that is started.
+        arguments: arguments of this project's program, from `CellConfig.simulator_arguments`.
+        endpoints: every `tcp/host:port` at which it must listen. The first tells whether it is already running.
+        log: file for the output of a started simulator.
 
     Yields:
-        The simulator; `await_listening` before it is used.
+        The simulator. Call `await_listening` before using it.
 
     Raises:
-        OSError: it cannot be started.
+        OSError: the simulator cannot be started.
     """
     if _listens(endpoints[0]):
         yield Simulator()

@@ -1,4 +1,4 @@
-"""Between the cell's terms and the simulated cell's wire: states into samples, orders into commands."""
+"""Translates between the driver interface and a simulated cell's records: states to samples, orders to commands."""
 
 import secrets
 
@@ -13,14 +13,14 @@ from wire.task import Task
 
 
 def read_sample(record: RecordArray, arrival_s: float) -> Sample:
-    """Turn one state into a sample that shares nothing with it.
+    """Turn one state into a sample that shares no memory with it.
 
     Args:
-        record: (1,) of `wire.STATE`.
-        arrival_s: when it arrived, by the driver's clock.
+        record: (1,) record of `wire.STATE`.
+        arrival_s: time of arrival on the driver's clock, s.
 
     Raises:
-        wire.WireError: a field holds what the schema does not know. Whether numbers are finite, the monitor judges.
+        wire.WireError: a field holds a value that the schema lacks. The monitor judges whether numbers are finite.
     """
     row = record[0]
     if row["kind"] != wire.Kind.STATE:
@@ -54,17 +54,17 @@ def read_sample(record: RecordArray, arrival_s: float) -> Sample:
 
 
 def check_task(task: Task | None) -> Task:
-    """Return the task, which must be one that a world can be built from.
+    """Check that a world can be built from a task, and return the task.
 
     Raises:
-        DriverError: PROTOCOL, there is none, or the text names the field that is wrong.
+        DriverError: PROTOCOL: there is no task, or a field of it is wrong; the text names the field.
     """
     if task is None:
         raise DriverError(FaultCode.PROTOCOL, "a simulated world needs a task to lay out")
     try:
         task.check()
     except ValueError as error:
-        raise DriverError(FaultCode.PROTOCOL, f"the recipe asks for a world that cannot be: {error}") from error
+        raise DriverError(FaultCode.PROTOCOL, f"the recipe asks for a world that cannot be built: {error}") from error
     return task
 
 
@@ -72,7 +72,7 @@ class CommandWriter:
     """Writes the commands of one client to one world, numbered.
 
     Attributes:
-        epoch: of the world that is meant; set on connecting.
+        epoch: epoch of the addressed world; set on connecting.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Setup of the world of a simulated arm that is driven by a real arm's protocol, which has no command for it."""
+"""Lays out the world of a simulated arm that speaks a real arm's protocol, which has no command for this."""
 
 import asyncio
 import json
@@ -25,7 +25,7 @@ class LaidOut:
     """A world that was laid out.
 
     Attributes:
-        episode: number of layouts since its process started.
+        episode: number of layouts since the simulator's process started.
         time_s: time of the layout by the arm's clock; newer samples show the new world.
     """
 
@@ -58,7 +58,7 @@ class WorldSetup(Protocol):
 
 
 class ZenohWorldSetup:
-    """Setup of an emulated controller's world by the query of a simulated cell (`docs/reference/wire.md`).
+    """Lays out an emulated controller's world with the query of a simulated cell (`docs/reference/wire.md`).
 
     Args:
         world: name of the world in its keys.

@@ -1,4 +1,4 @@
-"""The driver of a simulated cell over Zenoh, in real time or in lockstep. Keys and records: `wire`."""
+"""The driver of a simulated cell over Zenoh, in real time or in lockstep. `wire` defines the keys and records."""
 
 import asyncio
 import json
@@ -22,11 +22,11 @@ from wire.session import QueryRefusedError, call_in_loop, close_session, open_se
 from wire.task import Task
 
 QUERY_TIMEOUT_S = 2.0
-"""Host time for an answer of a simulator that has nothing to compute but a tick."""
+"""Host time for an answer for which the simulator computes at most one tick, s."""
 PREPARE_TIMEOUT_S = 30.0
-"""Host time for a simulator to lay out, and perhaps to compile, a world."""
+"""Host time for a simulator to lay out, and perhaps to compile, a world, s."""
 IDLE_TICKS = 500
-"""Lockstep: ticks without a command or an engaged arm after which time passes no faster than in reality."""
+"""Ticks in lockstep without a command or an engaged arm, after which time passes no faster than in reality."""
 
 
 class ZenohSimDriver:
@@ -35,8 +35,8 @@ class ZenohSimDriver:
     Args:
         world: name of the world in its keys.
         connect: endpoints of its server.
-        mode: whether the world's time passes by itself or is advanced from here.
-        clock: monotonic seconds, for arrivals in real time.
+        mode: time mode. In `real_time` the world's time passes by itself; in `lockstep` this driver advances it.
+        clock: monotonic clock for arrivals in real time, s.
     """
 
     simulated = True
@@ -86,7 +86,7 @@ class ZenohSimDriver:
         elif self._publisher is None:
             self._publisher = self._session.declare_publisher(
                 keys.COMMAND.format(world=self._world),
-                congestion_control=zenoh.CongestionControl.DROP,  # a command that cannot leave now is worth nothing
+                congestion_control=zenoh.CongestionControl.DROP,  # a late command is worth nothing
                 priority=zenoh.Priority.REAL_TIME,
                 express=True,
             )
@@ -144,7 +144,7 @@ class ZenohSimDriver:
     # --- real time
 
     def _receive(self, message: zenoh.Sample) -> None:
-        """On Zenoh's thread: check what the schema promises, stamp the arrival, hand over."""
+        """Check a state against the schema, stamp its arrival and hand it over. Runs on Zenoh's thread."""
         arrival_s = self._host_clock()
         try:
             records = wire.decode(message.payload.to_bytes(), wire.STATE)

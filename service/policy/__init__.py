@@ -1,4 +1,4 @@
-"""What runs a trained policy: its contract, observations built from the contract, the model, and the action's meaning.
+"""Runs a trained policy: contract, observations built from the contract, model, and action map.
 
 The same code serves a cell (batch shape `()`) and batched training (`(n,)`).
 """

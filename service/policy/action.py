@@ -1,4 +1,4 @@
-"""From a network's output to a displacement of the tool. Any batch shape."""
+"""Maps a network's output to a displacement of the tool, for any batch shape."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -14,7 +14,7 @@ COMPONENTS = ("dx", "dy", "dz", "dyaw")
 
 
 class ActionComponent(Protocol):
-    """What the map needs of an action entry of a contract."""
+    """Fields of a contract's action entry that the map reads."""
 
     @property
     def name(self) -> str: ...
@@ -30,7 +30,11 @@ class ActionMap:
     """Turns outputs in [-1, 1] into metres and radians in the base frame."""
 
     def __init__(self, entries: Sequence[ActionComponent]) -> None:
-        """`entries`: of a checked contract, in the order of the network's output."""
+        """Prepare the map.
+
+        Args:
+            entries: action entries of a checked contract, in the order of the network's output.
+        """
         self.size = len(entries)
         self._columns = [COMPONENTS.index(entry.name) for entry in entries]
         self._limits = np.array([entry.limit for entry in entries])
@@ -41,11 +45,12 @@ class ActionMap:
         """Map one action.
 
         Args:
-            action: (..., size), the network's output; cut to [-1, 1] first. NaN stays NaN, for the bounds to refuse.
+            action: (..., size), the network's output. It is first cut to [-1, 1]; NaN stays NaN, which the bounds
+                refuse.
             yaw: (...) rad, measured.
 
         Returns:
-            (..., 4) dx, dy, dz in m and dyaw in rad, base frame; zero for a component that the policy lacks.
+            (..., 4) dx, dy, dz in m and dyaw in rad, base frame. A component that the policy lacks is zero.
         """
         unit = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         values = np.where(self._squared, unit * np.abs(unit), unit) * self._limits
@@ -54,11 +59,18 @@ class ActionMap:
         return rotate(yaw, out) if self._in_tool_frame else out
 
     def unit(self, action: npt.ArrayLike) -> FloatArray:
-        """An action (..., size) as the next observation has it: (..., 4) cut to [-1, 1], zero where it lacks one."""
+        """Return an action (..., size) as the next observation holds it.
+
+        Returns:
+            (..., 4), cut to [-1, 1]. A component that the policy lacks is zero.
+        """
         out = np.zeros((*np.shape(action)[:-1], len(COMPONENTS)))
         out[..., self._columns] = np.clip(action, -1.0, 1.0)
         return out
 
     def excess(self, action: npt.ArrayLike) -> FloatArray:
-        """Largest |component| (...) of an action: above 1 it was cut; a run counts large ones in a row."""
+        """Return the largest |component| (...) of an action.
+
+        Above 1 the action was cut; a run counts consecutive large values.
+        """
         return np.abs(np.asarray(action, np.float64)).max(-1)

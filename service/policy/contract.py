@@ -1,4 +1,4 @@
-"""What a policy file says about itself: the JSON contract in the metadata of its ONNX model.
+"""The policy contract: JSON in the metadata of an ONNX model that states what the policy needs.
 
 `docs/reference/policy-contract.md` is the reference for integrators.
 """
@@ -25,7 +25,7 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
 class ContractError(ValueError):
-    """A contract that cannot be read or does not fit together; the text names every field at fault."""
+    """A contract cannot be read or contradicts itself; the text names every field at fault."""
 
 
 class Section(BaseModel):
@@ -36,11 +36,11 @@ class ObservationEntry(Section):
     """One entry of the observation, `size` times `history` numbers, oldest frame first.
 
     Attributes:
-        name: of `service.policy.observation.ENTRIES`, which fixes size, unit and frame; they are repeated here so that
-            the file can be read without the code.
-        scale: what the graph divides by, per component or one for all. For the reader: the graph does it.
-        clip: where the graph cuts the scaled value; None: nowhere.
-        history: frames.
+        name: key of `service.policy.observation.ENTRIES`. That table fixes size, unit and frame; the entry repeats them
+            so that the file can be read without the code.
+        scale: divisor that the graph applies, per component or one for all. It informs the reader only.
+        clip: limit at which the graph cuts the scaled value; None: no limit. It informs the reader only.
+        history: number of frames.
     """
 
     name: str
@@ -71,7 +71,11 @@ class ObservationEntry(Section):
     def of(
         cls, name: str, *, scale: float | tuple[float, ...] = 1.0, clip: float | None = None, history: int = 1
     ) -> Self:
-        """Entry `name` with the size, unit and frame that it has. Raises ValueError for an unknown one."""
+        """Return entry `name` with its size, unit and frame.
+
+        Raises:
+            ValueError: there is no such entry.
+        """
         spec = ENTRIES.get(name)
         if spec is None:
             raise ValueError(f"unknown observation entry {name!r}; known are {', '.join(sorted(ENTRIES))}")
@@ -84,8 +88,8 @@ class ActionEntry(Section):
     Attributes:
         name: component of the displacement.
         unit: m, or rad for dyaw.
-        frame: axes of dx and dy: base, or base turned by the measured yaw. dz and dyaw are the same in both.
-        limit: displacement at ±1.
+        frame: axes of dx and dy. `tool` is the base frame turned by the measured yaw; dz and dyaw are the same in both.
+        limit: displacement at ±1, in `unit`.
         map: `linear`: a; `signed_square`: a·|a|, finer near zero.
     """
 
@@ -106,14 +110,14 @@ class EvaluationFigure(Section):
     """One measured result.
 
     Attributes:
-        clearance_m: per face.
-        conditions: distributions of `docs/reference/conditions.md`.
-        episodes: independent, deterministic policy, seeds never trained on.
-        successes: of those.
+        clearance_m: clearance per face, m.
+        conditions: name of the conditions, see `docs/reference/conditions.md`.
+        episodes: number of independent episodes of the deterministic policy, on seeds never trained on.
+        successes: number of successful episodes.
         low: lower end of the 95 % Wilson interval of the success rate.
-        high: upper end.
-        peak_force_median_n: of the episodes' peak resultant force over every sample.
-        peak_force_max_n: largest of them.
+        high: upper end of that interval.
+        peak_force_median_n: median over the episodes of the peak resultant force, taken over every sample, N.
+        peak_force_max_n: largest of those peaks, N.
     """
 
     clearance_m: Positive
@@ -130,21 +134,21 @@ class PolicyContract(Section):
     """Everything that a cell must know to run a policy as it was trained.
 
     Attributes:
-        schema_version: of this document.
-        name: of the policy.
-        parts: that it may be used for.
-        clearance_m: least and largest clearance per face that it may be used at.
-        mode: what it observes. VFTM: hole and contact; FTM: contact; VM: hole.
+        schema_version: version of this document.
+        name: name of the policy.
+        parts: parts that the policy may be used for.
+        clearance_m: least and largest clearance per face that the policy may be used at, m.
+        mode: observed quantities. VFTM: hole and contact; FTM: contact; VM: hole.
         tick_s: period of the control law, s.
         ticks_per_step: ticks between two actions.
-        max_steps: of an episode.
-        observation: entries in order.
-        action: entries in order.
+        max_steps: length of an episode, steps.
+        observation: observation entries in order.
+        action: action entries in order.
         dsl: constants of the safety lock.
-        compliance: the law around the target.
-        wrench_window_ticks: newest samples of a step that are averaged.
-        hidden_size: of the recurrent state; 0: none.
-        provenance: how it was trained: anything that JSON can say.
+        compliance: compliance law around the target.
+        wrench_window_ticks: number of newest samples of a step that are averaged.
+        hidden_size: size of the recurrent state; 0: none.
+        provenance: record of the training: anything that JSON can express.
         evaluation: measured results.
     """
 
@@ -168,7 +172,7 @@ class PolicyContract(Section):
     @model_validator(mode="before")
     @classmethod
     def _without_peck(cls, document: Any) -> Any:
-        """Drop the constant of a lock mode that no longer exists: policies exported before 0.2 carry it, unused."""
+        """Drop `dsl.peck_deeper_m`, an unused constant that policies exported before 0.2 carry."""
         if not isinstance(document, dict):
             return document
         fields = cast(dict[str, Any], document)
@@ -187,7 +191,9 @@ class PolicyContract(Section):
             if twice:
                 raise ValueError(f"{what} names {', '.join(twice)} more than once")
         if self.clearance_m[0] > self.clearance_m[1]:
-            raise ValueError(f"clearance_m runs from {self.clearance_m[0]} down to {self.clearance_m[1]}")
+            raise ValueError(
+                f"clearance_m must be [least, largest], not [{self.clearance_m[0]}, {self.clearance_m[1]}]"
+            )
         if self.wrench_window_ticks > self.ticks_per_step:
             raise ValueError(
                 f"wrench_window_ticks is {self.wrench_window_ticks}, a step has {self.ticks_per_step} ticks"
@@ -214,7 +220,7 @@ class PolicyContract(Section):
         """Read a contract.
 
         Raises:
-            ContractError: with every field that is wrong.
+            ContractError: the contract is not valid; the text names every wrong field.
         """
         try:
             return cls.model_validate_json(text)
@@ -226,11 +232,11 @@ class PolicyContract(Section):
             raise ContractError("; ".join(lines)) from error
 
     def to_json(self) -> str:
-        """The contract as the model's metadata holds it."""
+        """Return the contract as the JSON that the model's metadata holds."""
         return self.model_dump_json()
 
     def to_metadata(self) -> dict[str, str]:
-        """What to add to the model's `metadata_props`."""
+        """Return the entry to add to the model's `metadata_props`."""
         return {METADATA_KEY: self.to_json()}
 
     @property
@@ -244,7 +250,7 @@ class PolicyContract(Section):
         return sum(entry.size * entry.history for entry in self.observation)
 
     def observation_builder(self) -> ObservationBuilder:
-        """Builder of this policy's observations."""
+        """Return the builder of this policy's observations."""
         return ObservationBuilder(
             self.observation,
             self.mode,
@@ -255,10 +261,10 @@ class PolicyContract(Section):
         )
 
     def action_map(self) -> ActionMap:
-        """Meaning of this policy's actions."""
+        """Return the map from this policy's outputs to displacements."""
         return ActionMap(self.action)
 
 
 def json_schema() -> dict[str, JsonValue]:
-    """JSON schema of the contract."""
+    """Return the JSON schema of the contract."""
     return PolicyContract.model_json_schema()

@@ -18,7 +18,7 @@ OPSETS = range(11, 24)
 
 
 class PolicyFault(StrEnum):
-    """Why a policy file is refused, or an inference is."""
+    """Reason for which a policy file or an inference is refused."""
 
     UNREADABLE = "UNREADABLE"
     TOO_LARGE = "TOO_LARGE"
@@ -35,7 +35,7 @@ class PolicyFault(StrEnum):
 
 
 class PolicyError(Exception):
-    """A policy cannot be used; `reason` is stable, the text says what is wrong and where."""
+    """A policy cannot be used. `reason` is a stable code; the text says what is wrong and where."""
 
     def __init__(self, reason: PolicyFault, text: str) -> None:
         super().__init__(f"{reason}: {text}")
@@ -44,18 +44,18 @@ class PolicyError(Exception):
 
 
 class Policy:
-    """A loaded policy: the bytes that were hashed are the ones that run, whatever becomes of the file."""
+    """A loaded policy. The bytes that run are the bytes that were hashed, whatever happens to the file."""
 
     def __init__(self, data: bytes, *, source: str = "<bytes>", expected_sha256: str | None = None) -> None:
         """Load from bytes.
 
         Args:
             data: the whole ONNX file.
-            source: where they come from, for messages.
-            expected_sha256: hex digest that they must have; None: any.
+            source: origin of the bytes, for messages.
+            expected_sha256: hex digest that the bytes must have; None: any.
 
         Raises:
-            PolicyError: with the first thing found wrong.
+            PolicyError: the policy cannot be used; the text names the first problem found.
         """
         self.source = source
         if len(data) > SIZE_LIMIT_BYTES:
@@ -63,7 +63,8 @@ class Policy:
         self.sha256 = hashlib.sha256(data).hexdigest()
         if expected_sha256 is not None and expected_sha256 != self.sha256:
             raise PolicyError(
-                PolicyFault.HASH, f"{source} has SHA-256 {self.sha256}, admitted is {expected_sha256}: admit it anew"
+                PolicyFault.HASH,
+                f"{source} has SHA-256 {self.sha256}, only {expected_sha256} is admitted: restore the file or admit it",
             )
         self.contract = _read_contract(data, source)
         self._recurrent = self.contract.hidden_size > 0
@@ -86,10 +87,10 @@ class Policy:
 
     @classmethod
     def load(cls, path: Path, *, expected_sha256: str | None = None) -> Self:
-        """Load from a file, which is read once.
+        """Load from a file, reading it once.
 
         Raises:
-            PolicyError: with the first thing found wrong.
+            PolicyError: the policy cannot be used; the text names the first problem found.
         """
         try:
             with path.open("rb") as file:
@@ -99,25 +100,25 @@ class Policy:
         return cls(data, source=str(path), expected_sha256=expected_sha256)
 
     def initial_hidden(self, shape: tuple[int, ...] = ()) -> Float32Array | None:
-        """Recurrent state before the first step, (*shape, hidden_size) zeros; None for a policy without one."""
+        """Return the recurrent state before the first step: (*shape, hidden_size) zeros; None for a policy without."""
         return np.zeros((*shape, self.contract.hidden_size), np.float32) if self._recurrent else None
 
     def act(
         self, observation: Float32Array, hidden: Float32Array | None = None
     ) -> tuple[Float32Array, Float32Array | None]:
-        """One inference.
+        """Run one inference.
 
         Args:
             observation: (..., n) raw physical units, as the contract's builder makes it.
             hidden: (..., hidden_size) from `initial_hidden` or the last call; None for a policy without one.
 
         Returns:
-            (..., a) action, in -1 … 1 if the graph ends so, and the next recurrent state.
+            (..., a) action, within -1 … 1 if the graph limits it, and the next recurrent state.
 
         Raises:
-            PolicyError: INVALID_OBSERVATION for one that is not finite or has another shape; INVALID_OUTPUT for a
-                result that is not finite or has another shape (ONNX Runtime passes NaN through silently); FAILED
-                where ONNX Runtime raises.
+            PolicyError: INVALID_OBSERVATION: an input is not finite or has another shape. INVALID_OUTPUT: a result is
+                not finite or has another shape (ONNX Runtime passes NaN through silently). FAILED: ONNX Runtime raised
+                an error.
         """
         size = self.contract.observation_size
         if observation.shape[-1:] != (size,) or not np.isfinite(observation).all():
@@ -162,7 +163,7 @@ class Policy:
         if names != sorted(want):
             raise PolicyError(PolicyFault.SIGNATURE, f"{self.source}: {what} are {names}, want {sorted(want)}")
         for name, kind, shape in nodes:
-            # A dimension is a number, or a name or None where it is open
+            # A fixed dimension is a number; an open one is a name or None
             open_batch = len(shape) == 2 and (shape[0] == 1 or not isinstance(shape[0], int))
             if kind != "tensor(float)" or not open_batch or shape[1] != want[name]:
                 raise PolicyError(
@@ -171,7 +172,7 @@ class Policy:
                 )
 
     def _probe(self) -> None:
-        """Run at rest and at plus and minus each entry's scale: what fails there would fail in motion."""
+        """Run the graph at zero and at plus and minus each entry's scale, to find a failure before any motion."""
         scales = [
             np.broadcast_to(np.asarray(entry.scale, np.float32), (entry.history, entry.size)).ravel()
             for entry in self.contract.observation
@@ -184,13 +185,14 @@ def _read_contract(data: bytes, source: str) -> PolicyContract:
     try:
         head = onnx_file.inspect(data)
     except onnx_file.MalformedError as error:
-        raise PolicyError(PolicyFault.CORRUPT, f"{source} is no ONNX model: {error}") from error
+        raise PolicyError(PolicyFault.CORRUPT, f"{source} is not an ONNX model: {error}") from error
     if head.external_data:
         raise PolicyError(PolicyFault.EXTERNAL_DATA, f"{source} keeps weights in another file: export it as one file")
     if set(head.opsets) != {""} or head.opsets[""] not in OPSETS:
         raise PolicyError(
             PolicyFault.OPSET,
-            f"{source} uses operator sets {head.opsets}, admitted is the standard one, {OPSETS[0]} to {OPSETS[-1]}",
+            f"{source} uses operator sets {head.opsets}, only the standard one is admitted, versions {OPSETS[0]} to "
+            f"{OPSETS[-1]}",
         )
     text = head.metadata.get(METADATA_KEY)
     if text is None:
@@ -209,5 +211,5 @@ def _session(data: bytes) -> Any:
     # A spinning thread would take a core from the 500 Hz loop
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
-    # The fallback prints, and tries the same provider again
+    # The fallback prints to the console and tries the same provider again
     return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"], enable_fallback=0)

@@ -1,7 +1,7 @@
 """Builds a policy's observation from its contract: one table of entries, raw physical units, any batch shape.
 
 Frame `tool` is the base frame turned by the measured yaw about z: x along the TCP's x axis, z up.
-Scaling and clipping are inside the policy's graph, not here.
+Scaling and clipping happen inside the policy's graph, not here.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,37 +20,37 @@ ObservationMode = Literal["VFTM", "FTM", "VM"]
 Frame = Literal["tool", "base", "none"]
 
 CENTROID_FLOOR_N = 1.0
-"""Normal force below which the contact centroid is scaled down instead of blowing up."""
+"""Smallest normal force that divides the torque, N. It keeps the contact centroid small where contact is weak."""
 CENTROID_LIMIT_M = 0.03
-"""The contact centroid is cut here: beyond the largest part it means nothing."""
+"""Limit at which the contact centroid is cut, m. A value beyond the largest part carries no meaning."""
 
 
 class Need(StrEnum):
-    """What a cell must have for an entry."""
+    """Capability that a cell must have to supply an entry."""
 
     FORCE_TORQUE = "force_torque"
     HOLE = "hole"
-    """A camera's estimate, except for FTM, which gets the nominal centre."""
+    """A camera's estimate of the hole. Mode FTM uses the nominal centre and needs no camera."""
     LAST_JOINT = "last_joint"
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What is known at one policy step; base frame, batch shape (...).
+    """Quantities known at one policy step; base frame, batch shape (...).
 
     Attributes:
         position: (..., 3) m, measured TCP.
         yaw: (...) rad, measured.
         tilt: (..., 2) rad, measured, as `service.safety.pose.yaw_and_tilt` gives it.
         wrench_window: (T, ..., 6) N and N·m at the TCP, oldest first: the samples since the last step.
-        hole_estimate: (..., 3) m, this frame's estimate of the centre of the hole's mouth; NaN without one.
-        nominal_hole: (..., 3) m, where the hole is without any camera.
+        hole_estimate: (..., 3) m, this camera frame's estimate of the centre of the hole's mouth; NaN without one.
+        nominal_hole: (..., 3) m, nominal centre of the hole's mouth, known without a camera.
         target_position: (..., 3) m, the command in force.
         target_yaw: (...) rad, the command in force.
         start_yaw: (...) rad, yaw at the start of the run.
-        z_lock: (...) m, of the safety lock's state; NaN while there is none.
+        z_lock: (...) m, height of the safety lock; NaN while there is none.
         contact_z: (...) m, height of the first contact (`z_contact0` of the lock's state); NaN before it.
-        phase: (...) phase of the lock's state.
+        phase: (...) `Phase` of the lock's state.
         previous_action: (..., 4) the policy's last action (`ActionMap.unit`); zero before the first.
         last_joint: (...) rad, angle of the last joint.
     """
@@ -78,8 +78,8 @@ class ObservationState:
     Attributes:
         frames: (..., H, n) float32, the last H frames of all entries, newest last.
         hole_mean: (..., 3) m, running mean of the hole estimates of the episode.
-        hole_count: (...) int32, estimates in it.
-        steps: (...) int32, observations built in this episode.
+        hole_count: (...) int32, number of estimates in that mean.
+        steps: (...) int32, number of observations built in this episode.
     """
 
     frames: Float32Array
@@ -100,7 +100,7 @@ class ObservationState:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A measurement with what several entries share already worked out."""
+    """A measurement together with the quantities that several entries share."""
 
     m: Measurement
     felt: WrenchSummary
@@ -111,7 +111,7 @@ class Reading:
     wrench_clip: FloatArray
 
     def in_tool_frame(self, vector: FloatArray) -> FloatArray:
-        """(..., 2 or 3) of base axes in tool axes."""
+        """Turn a vector (..., 2 or 3) from base axes to tool axes."""
         return rotate(-self.m.yaw, vector)
 
 
@@ -136,7 +136,7 @@ def _force_z_range(r: Reading) -> FloatArray:
 
 
 def _contact_centroid(r: Reading) -> FloatArray:
-    # The normal force N up at (x, y) from the TCP gives Tx = y N, Ty = -x N
+    # A normal force N, upwards at (x, y) from the TCP, gives Tx = y N, Ty = -x N
     normal = np.maximum(r.felt.mean[..., 2], CENTROID_FLOOR_N)
     centroid = np.stack((-r.felt.mean[..., 4], r.felt.mean[..., 3]), axis=-1) / normal[..., None]
     return np.clip(r.in_tool_frame(centroid), -CENTROID_LIMIT_M, CENTROID_LIMIT_M)
@@ -156,12 +156,12 @@ class EntrySpec:
     """One kind of observation entry.
 
     Attributes:
-        size: components of one frame.
-        unit: of each component; two units are joined by a comma.
-        frame: axes that it is given in.
-        needs: what the cell must have.
-        meaning: one line, for the documentation.
-        read: the entry (..., size) of a reading.
+        size: number of components of one frame.
+        unit: unit of each component; two units are joined by a comma.
+        frame: axes of the components.
+        needs: capabilities that the cell must have.
+        meaning: one line for the documentation.
+        read: function that returns the entry (..., size) of a reading.
     """
 
     size: int
@@ -179,41 +179,54 @@ _NONE: frozenset[Need] = frozenset()
 ENTRIES: dict[str, EntrySpec] = {
     "hole_offset_xy": EntrySpec(2, "m", "tool", _HOLE, "hole (mean of the estimates) minus TCP", _hole_offset_xy),
     "height": EntrySpec(
-        1, "m", "base", _HOLE, "TCP above the hole; once there was a contact, above the first", _height
+        1, "m", "base", _HOLE, "height of the TCP above the hole; after a contact, above the first contact", _height
     ),
     "contact_height_known": EntrySpec(
-        1, "1", "none", _FT, "1 once there was a contact", lambda r: _column(r.contact_known)
+        1, "1", "none", _FT, "1 after the first contact, 0 before", lambda r: _column(r.contact_known)
     ),
-    "yaw": EntrySpec(1, "rad", "base", _NONE, "since the start of the run", _yaw),
-    "tilt": EntrySpec(2, "rad", "tool", _NONE, "of the tool from straight down", lambda r: r.in_tool_frame(r.m.tilt)),
-    "force_mean": EntrySpec(3, "N", "tool", _FT, "over the window", lambda r: r.in_tool_frame(r.felt.mean[..., :3])),
+    "yaw": EntrySpec(1, "rad", "base", _NONE, "yaw minus the yaw at the start of the run", _yaw),
+    "tilt": EntrySpec(
+        2, "rad", "tool", _NONE, "tilt of the tool from straight down", lambda r: r.in_tool_frame(r.m.tilt)
+    ),
+    "force_mean": EntrySpec(
+        3, "N", "tool", _FT, "mean force over the window", lambda r: r.in_tool_frame(r.felt.mean[..., :3])
+    ),
     "torque_mean": EntrySpec(
-        3, "N·m", "tool", _FT, "over the window, at the TCP", lambda r: r.in_tool_frame(r.felt.mean[..., 3:])
+        3, "N·m", "tool", _FT, "mean torque at the TCP over the window", lambda r: r.in_tool_frame(r.felt.mean[..., 3:])
     ),
     "force_z_range": EntrySpec(
-        3, "N", "base", _FT, "minimum, maximum, deviation of Fz over the window", _force_z_range
+        3, "N", "base", _FT, "minimum, maximum, standard deviation of Fz over the window", _force_z_range
     ),
     "contact_centroid": EntrySpec(
-        2, "m", "tool", _FT, "where the normal force acts: (-Ty, Tx) / max(Fz, 1 N), cut at 30 mm", _contact_centroid
+        2, "m", "tool", _FT, "point of the normal force: (-Ty, Tx) / max(Fz, 1 N), cut at 30 mm", _contact_centroid
     ),
-    "lag": EntrySpec(4, "m,rad", "tool", _NONE, "command in force minus measured: x, y, z, yaw", _lag),
+    "lag": EntrySpec(4, "m,rad", "tool", _NONE, "command in force minus measured pose: x, y, z, yaw", _lag),
     "previous_action": EntrySpec(
         4, "1", "none", _NONE, "last action, -1 … 1: dx, dy, dz, dyaw", lambda r: r.m.previous_action
     ),
-    "lock_height": EntrySpec(1, "m", "base", _FT, "lock above the TCP; 0 without a lock", _lock_height),
-    "phase": EntrySpec(1, "1", "none", _FT, "of the lock: `Phase`", lambda r: _column(r.m.phase)),
-    "time_fraction": EntrySpec(1, "1", "none", _NONE, "steps taken over allowed", lambda r: _column(r.time_fraction)),
-    "eef_position": EntrySpec(3, "m", "base", _NONE, "TCP (the paper's)", lambda r: r.m.position),
-    "last_joint_angle": EntrySpec(
-        1, "rad", "none", frozenset({Need.LAST_JOINT}), "(the paper's)", lambda r: _column(r.m.last_joint)
+    "lock_height": EntrySpec(1, "m", "base", _FT, "height of the lock above the TCP; 0 without a lock", _lock_height),
+    "phase": EntrySpec(1, "1", "none", _FT, "phase of the lock (`Phase`)", lambda r: _column(r.m.phase)),
+    "time_fraction": EntrySpec(
+        1, "1", "none", _NONE, "steps taken divided by steps allowed", lambda r: _column(r.time_fraction)
     ),
-    "hole_position": EntrySpec(3, "m", "base", _HOLE, "this frame's estimate (the paper's)", lambda r: r.hole_frame),
+    "eef_position": EntrySpec(3, "m", "base", _NONE, "position of the TCP, as in the paper", lambda r: r.m.position),
+    "last_joint_angle": EntrySpec(
+        1,
+        "rad",
+        "none",
+        frozenset({Need.LAST_JOINT}),
+        "angle of the last joint, as in the paper",
+        lambda r: _column(r.m.last_joint),
+    ),
+    "hole_position": EntrySpec(
+        3, "m", "base", _HOLE, "this camera frame's estimate, as in the paper", lambda r: r.hole_frame
+    ),
     "wrench_normalised": EntrySpec(
         6,
         "1",
         "base",
         _FT,
-        "mean over the window, over the lock's clip, cut to -1 … 1 (the paper's)",
+        "mean wrench over the window, divided by the lock's clip, cut to -1 … 1, as in the paper",
         lambda r: np.clip(r.felt.mean / r.wrench_clip, -1.0, 1.0),
     ),
 }
@@ -221,7 +234,7 @@ ENTRIES: dict[str, EntrySpec] = {
 
 
 class ObservationEntry(Protocol):
-    """What the builder needs of an observation entry of a contract."""
+    """Fields of a contract's observation entry that the builder reads."""
 
     @property
     def name(self) -> str: ...
@@ -230,7 +243,7 @@ class ObservationEntry(Protocol):
 
 
 class ObservationBuilder:
-    """Builds observations for one contract; the memory is in `ObservationState`."""
+    """Builds observations for one contract. `ObservationState` holds the memory between steps."""
 
     def __init__(
         self,
@@ -241,18 +254,18 @@ class ObservationBuilder:
         force_clip_n: float = 10.0,
         torque_clip_nm: float = 1.0,
     ) -> None:
-        """Prepare.
+        """Prepare the builder.
 
         Args:
-            entries: in order; of a checked contract.
-            mode: FTM knows the nominal centre instead of the estimate; VM nothing of the contact.
-            max_steps: of an episode, for `time_fraction`.
-            window_samples: newest samples of the wrench window that are averaged.
-            force_clip_n: of the lock, for `wrench_normalised`.
-            torque_clip_nm: likewise.
+            entries: observation entries of a checked contract, in order.
+            mode: FTM observes the nominal centre instead of the estimate; VM observes nothing of the contact.
+            max_steps: length of an episode, steps, for `time_fraction`.
+            window_samples: number of newest samples of the wrench window that are averaged.
+            force_clip_n: the lock's force clip, N, for `wrench_normalised`.
+            torque_clip_nm: the lock's torque clip, N·m, for `wrench_normalised`.
 
         Raises:
-            ValueError: an entry that `ENTRIES` does not have.
+            ValueError: `ENTRIES` lacks an entry.
         """
         unknown = [entry.name for entry in entries if entry.name not in ENTRIES]
         if unknown:
@@ -278,7 +291,7 @@ class ObservationBuilder:
         return len(self._columns)
 
     def begin(self, shape: tuple[int, ...] = ()) -> ObservationState:
-        """Memory before the first observation of an episode."""
+        """Return the memory before the first observation of an episode."""
         return ObservationState(
             frames=np.zeros((*shape, self._depth, self._width), np.float32),
             hole_mean=np.zeros((*shape, 3)),
@@ -293,13 +306,13 @@ class ObservationBuilder:
 
         Args:
             state: from `begin` or the last call.
-            measurement: now.
-            mask: (...) bool: elements that take this step. The others keep their memory, and their rows of the result
-                mean nothing. For vectorised environments that reset a few.
+            measurement: present measurement.
+            mask: (...) bool, elements that take this step. The others keep their memory, and their rows of the result
+                have no meaning. Vectorised environments use it to reset a few elements.
 
         Returns:
             The next memory, and (..., size) float32: entries in order, each with its history, oldest frame first. The
-            first frame of an episode stands for those before it. NaN where something needed is not known.
+            first frame of an episode stands for the frames before it. A value is NaN where a quantity is not known.
         """
         hole_mean, hole_count = self._hole(state, measurement)
         contact_known = np.isfinite(measurement.contact_z)
@@ -332,7 +345,7 @@ class ObservationBuilder:
         return ObservationState(frames, hole_mean, hole_count, steps), observation
 
     def _hole(self, state: ObservationState, measurement: Measurement) -> tuple[FloatArray, IntArray]:
-        """Running mean of the estimates; a frame without one leaves it."""
+        """Update the running mean of the estimates. A frame without an estimate leaves it unchanged."""
         seen = np.asarray(np.isfinite(measurement.hole_estimate).all(-1))
         count = state.hole_count + seen
         change = (measurement.hole_estimate - state.hole_mean) / np.maximum(count, 1)[..., None]

@@ -1,7 +1,7 @@
-"""Reads what matters before a model file may be run: opsets, metadata, and whether it points outside itself.
+"""Reads the head of an ONNX file: operator sets, metadata, and references to other files.
 
-ONNX Runtime would open files that a model names, and says little about why it refuses one. This walks the protocol
-buffer (onnx.proto3 of the ONNX project, Apache-2.0, has the field numbers) without building the model.
+ONNX Runtime opens files that a model names, and says little about why it refuses a model. This module walks the
+protocol buffer without building the model. The field numbers are those of onnx.proto3 of the ONNX project (Apache-2.0).
 """
 
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 _MODEL_GRAPH, _MODEL_OPSET, _MODEL_METADATA, _MODEL_FUNCTIONS = 7, 8, 14, 25
 _DEPTH_LIMIT = 32
-# Fields that lead to a tensor, by kind of message: number -> kind of what is inside
+# Fields that lead to a tensor, by kind of message: field number -> kind of the content
 _PATHS: dict[str, dict[int, str]] = {
     "graph": {1: "node", 5: "tensor", 15: "sparse"},
     "function": {7: "node", 11: "attribute"},
@@ -23,17 +23,17 @@ _EXTERNAL = 1
 
 
 class MalformedError(ValueError):
-    """The bytes are no ONNX model."""
+    """The bytes are not an ONNX model."""
 
 
 @dataclass(frozen=True, slots=True)
 class OnnxFile:
-    """What a model file says.
+    """Head of a model file.
 
     Attributes:
-        opsets: version by domain; the standard domain is "".
-        metadata: `metadata_props`.
-        external_data: some tensor's values are in another file.
+        opsets: version of the operator set by domain; the standard domain is "".
+        metadata: the model's `metadata_props`.
+        external_data: True if a tensor's values are in another file.
     """
 
     opsets: dict[str, int]
@@ -45,7 +45,7 @@ def inspect(data: bytes) -> OnnxFile:
     """Read a model's head.
 
     Raises:
-        MalformedError: the bytes are not a protocol buffer of a model, or are nested absurdly deep.
+        MalformedError: the bytes are not a protocol buffer of a model, or its graphs are nested too deep.
     """
     view = memoryview(data)
     opsets: dict[str, int] = {}
@@ -69,7 +69,7 @@ def inspect(data: bytes) -> OnnxFile:
         elif number == _MODEL_FUNCTIONS:
             external |= _external(_bytes(value), "function", 0)
     if not has_graph:
-        raise MalformedError("there is no graph in it")
+        raise MalformedError("it has no graph")
     return OnnxFile(opsets, metadata, external)
 
 
@@ -89,7 +89,7 @@ def _external(message: memoryview, kind: str, depth: int) -> bool:
 
 
 def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-    """Yield number and value of each field; fixed-width values as their bytes."""
+    """Yield number and value of each field. A fixed-width value is yielded as its bytes."""
     at, end = 0, len(message)
     while at < end:
         key, at = _varint(message, at)
@@ -125,13 +125,13 @@ def _varint(message: memoryview, at: int) -> tuple[int, int]:
 
 def _bytes(value: int | memoryview) -> memoryview:
     if isinstance(value, int):
-        raise MalformedError("a number stands where a message should")
+        raise MalformedError("it has a number in place of a message")
     return value
 
 
 def _integer(value: int | memoryview) -> int:
     if not isinstance(value, int):
-        raise MalformedError("a message stands where a number should")
+        raise MalformedError("it has a message in place of a number")
     return value
 
 

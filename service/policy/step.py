@@ -1,7 +1,7 @@
-"""The policy step: what was measured → observation → policy → action → depth lock → command bounds → target.
+"""The policy step: measurement → observation → policy → action → depth lock → command bounds → target.
 
-Written once, for any batch shape `...`: `()` in a cell, `(n,)` in training. `service.cell.insertion` and
-`training.environment.insertion` call it and keep what is theirs: stages and faults there, world and reward here.
+It works for any batch shape `...`: `()` in a cell, `(n,)` in training. `service.cell.insertion` calls it and adds
+stages and faults; `training.environment.insertion` calls it and adds world and reward.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from wire.limits import TILT_RAD, YAW_HALF_RANGE_RAD
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Everything measured at one moment; base frame. A step observes and acts on the same one.
+    """Everything measured at one moment; base frame. One step observes and acts on the same instance.
 
     Attributes:
         position: (..., 3) m, measured TCP.
@@ -28,7 +28,7 @@ class Seen:
         tilt: (..., 2) rad, measured, as `service.safety.pose.yaw_and_tilt` gives it.
         wrench_window: (T, ..., 6) N and N·m at the TCP, oldest first: the samples since the last step.
         hole_estimate: (..., 3) m, this camera frame's estimate of the centre of the hole's mouth; NaN without one.
-        nominal_hole: (..., 3) m, where the hole is without any camera.
+        nominal_hole: (..., 3) m, nominal centre of the hole's mouth, known without a camera.
         start_yaw: (...) rad, yaw at the start of the run.
         last_joint: (...) rad, angle of the last joint.
     """
@@ -62,7 +62,7 @@ class StepState:
     previous_action: FloatArray
 
     def reset(self, mask: BoolArray, target_position: FloatArray, target_yaw: FloatArray) -> Self:
-        """Begin new episodes where `mask` (...) is True, with the command in force there; the others keep theirs."""
+        """Begin new episodes where `mask` (...) is True, with the given command in force; the others keep theirs."""
         wide = mask[..., None]
         return type(self)(
             lock=self.lock.reset(mask),
@@ -75,12 +75,12 @@ class StepState:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What one step made of the policy's action; batch shape `...` in front.
+    """Stages of one step from the policy's action to the target; batch shape `...` in front.
 
     Attributes:
         displacement: (..., 4) m and rad, base frame: the action in units, before the lock.
-        locked: what the depth lock made of it.
-        bounded: what the command bounds made of that: the target.
+        locked: output of the depth lock for that displacement.
+        bounded: output of the command bounds for the locked command: the target.
     """
 
     displacement: FloatArray
@@ -89,17 +89,19 @@ class Decision:
 
 
 class PolicyStep:
-    """The policy step under one contract. Holds no state: `begin` makes it, `observe` and `act` hand on the next one.
+    """The policy step under one contract.
+
+    It holds no state: `begin` returns the first state, `observe` and `act` return the next one.
 
     Args:
-        contract: of the policy.
+        contract: contract of the policy.
         limits: bounds on every command.
 
     Attributes:
         ticks: samples per step.
         lock: constants of the depth lock.
         bounds: bounds on every command.
-        actions: meaning of the policy's output.
+        actions: map from the policy's output to a displacement.
         observation_size: length of an observation.
     """
 
@@ -116,8 +118,8 @@ class PolicyStep:
         """Return the state before the first step.
 
         Args:
-            target_position: (..., 3) m, the command in force; its batch shape is the state's.
-            target_yaw: (...) rad, likewise.
+            target_position: (..., 3) m, the command in force. Its batch shape is the state's.
+            target_yaw: (...) rad, the command in force.
         """
         position, yaw = np.asarray(target_position, np.float64), np.asarray(target_yaw, np.float64)
         shape = position.shape[:-1]
@@ -134,11 +136,12 @@ class PolicyStep:
 
         Args:
             state: from `begin` or the last `act`.
-            seen: measured now.
-            mask: (...) elements that observe; the memory of the others stays. None: all.
+            seen: present measurement.
+            mask: (...) elements that observe; the others keep their memory. None: all.
 
         Returns:
-            The next state, and (..., observation_size) float32 in raw units. NaN where something needed is not known.
+            The next state, and the observation: (..., observation_size) float32 in raw units. A value is NaN where a
+            quantity is not known.
         """
         measurement = Measurement(
             position=seen.position,
@@ -167,11 +170,11 @@ class PolicyStep:
 
         Args:
             state: from `observe`.
-            seen: what that observation was built from.
-            action: (..., m) as the contract has it. The caller refuses one that is not finite.
+            seen: measurement that the observation was built from.
+            action: (..., m), the policy's output. The caller must refuse an action that is not finite.
 
         Returns:
-            The next state, whose target is the decision's, and the decision.
+            The next state, which holds the decision's target, and the decision.
         """
         displacement = self.actions.displacement(action, seen.yaw)
         wrench = seen.wrench_window[-self._lock_samples :].mean(0)
@@ -198,10 +201,10 @@ def command_bounds(
     yaw_half_range_rad: float = YAW_HALF_RANGE_RAD,
     tilt_rad: float = TILT_RAD,
 ) -> bounds.BoundsParameters:
-    """Return the bounds on a policy's commands: those that the arm's own controller enforces, and yaw range and tilt.
+    """Return the bounds on a policy's commands: the limits of the arm's own controller, the yaw range and the tilt.
 
     Args:
-        limits: of the arm's own controller.
+        limits: limits that the arm's own controller enforces.
         period_s: time between two commands, s.
         start_yaw_rad: middle of the yaw range.
         yaw_half_range_rad: half of the yaw range.

@@ -1,4 +1,4 @@
-"""What one policy step felt, from the samples of the force/torque sensor within it."""
+"""Summary of the force/torque samples within one policy step."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,13 @@ from wire.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class WrenchSummary:
-    """A window of wrenches in a few numbers; base frame, at the TCP.
+    """Statistics of a window of wrenches; base frame, at the TCP.
 
     Attributes:
-        mean: (..., 6) N and N·m.
-        fz_min: (...) N.
-        fz_max: (...) N.
-        fz_std: (...) N.
+        mean: (..., 6) mean wrench, N and N·m.
+        fz_min: (...) smallest Fz, N.
+        fz_max: (...) largest Fz, N.
+        fz_std: (...) standard deviation of Fz, N.
     """
 
     mean: FloatArray
@@ -30,7 +30,7 @@ def summarise(wrench_window: npt.ArrayLike, samples: int | None = None) -> Wrenc
 
     Args:
         wrench_window: (T, ..., 6) N and N·m, oldest first, T >= 1.
-        samples: how many of the newest to use; None: all. A window that holds fewer gives what it has.
+        samples: number of newest samples to use; None: all. A shorter window is used whole.
     """
     window = np.asarray(wrench_window, np.float64)
     if samples is not None:

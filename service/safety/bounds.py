@@ -1,10 +1,11 @@
-"""Bounds on a command, whatever made it: step, speed, workspace, yaw range, tilt, leash to the measured pose.
+"""Bounds on every command: step, speed, workspace, yaw range, tilt, and the leash, the distance to the measured pose.
 
-Any batch shape.
+The functions work on any batch shape.
 
-Order: the leash first, then step and speed from the previous command, the box last. So the step and the box always
-hold (from a previous command inside the box), and the leash holds whenever the previous command was within it; when the
-arm has fallen behind, the target comes back to it at full step rather than in a jump that the controller would refuse.
+The bounds apply in this order: the leash, then step and speed from the previous command, then the workspace box. The
+step and the box therefore always hold, given a previous command inside the box. The leash holds if the previous command
+was within it. If the arm has fallen behind, the target returns to it at full step, because the arm's controller would
+refuse a jump.
 """
 
 from dataclasses import dataclass, fields
@@ -35,7 +36,7 @@ class BoundsParameters:
         workspace_upper: upper corner.
         yaw_centre_rad: middle of the yaw range.
         yaw_half_range_rad: half of the yaw range; π allows every yaw.
-        tilt_rad: largest measured tilt, rad. A command has no tilt to bound: beyond this the caller must stop.
+        tilt_rad: largest measured tilt, rad. A command has no tilt to bound, so the caller must stop beyond this.
     """
 
     period_s: float
@@ -55,7 +56,7 @@ class BoundsParameters:
         """Refuse limits that bound nothing.
 
         Raises:
-            ValueError: the text names the field.
+            ValueError: a field is out of range; the text names it.
         """
         for field in fields(self):
             value = getattr(self, field.name)
@@ -69,18 +70,18 @@ class BoundsParameters:
 
 @dataclass(frozen=True, slots=True)
 class BoundedCommand:
-    """A command that may be sent, and how the one that was asked for differed; batch shape (...) in front.
+    """A command that may be sent, and the bounds that changed it; batch shape (...) in front.
 
     Attributes:
         position: (..., 3) m, base frame.
         yaw: (...) rad, within π of the range's middle.
-        invalid: (...) the command or the measurement was not a usable number; the previous command stands in.
-            Latch POLICY_INVALID.
-        leash, step, speed: (...) which bound changed the command, in position or yaw.
-        workspace, yaw_range: likewise.
-        tilt: (...) the measured tilt is beyond its limit, or not a number. Latch BOUNDS.
-        excess: (...) asked change over allowed change of the target, the larger of position and yaw; above 1 it was
-            cut. A run counts large ones in a row.
+        invalid: (...) True where the command or the measurement was not a usable number; the previous command replaces
+            it. Latch POLICY_INVALID.
+        leash, step, speed: (...) True where this bound changed the command, in position or yaw.
+        workspace, yaw_range: (...) True where this bound changed the command.
+        tilt: (...) True where the measured tilt is beyond its limit or not a number. Latch BOUNDS.
+        excess: (...) requested change over allowed change of the target, the larger of position and yaw. Above 1 the
+            change was cut; a run counts consecutive large values.
     """
 
     position: FloatArray
@@ -96,7 +97,7 @@ class BoundedCommand:
 
     @property
     def clamped(self) -> BoolArray:
-        """(...) whether any bound changed the command."""
+        """(...) True where any bound changed the command."""
         return self.invalid | self.leash | self.step | self.speed | self.workspace | self.yaw_range
 
 
@@ -113,13 +114,13 @@ def apply(
     """Bound a command.
 
     Args:
-        parameters: the same for the whole batch.
+        parameters: limits, the same for the whole batch.
         measured_position: (..., 3) m, TCP, base frame.
         measured_yaw: (...) rad.
-        command_position: (..., 3) m, asked for.
-        command_yaw: (...) rad, asked for.
-        previous_position: (..., 3) m, the command in force; the measured pose before the first. Must be finite.
-        previous_yaw: (...) rad, likewise.
+        command_position: (..., 3) m, requested.
+        command_yaw: (...) rad, requested.
+        previous_position: (..., 3) m, the command in force; before the first, the measured pose. Must be finite.
+        previous_yaw: (...) rad, of the same command. Must be finite.
         measured_tilt: (...) rad, magnitude.
 
     Returns:
@@ -135,7 +136,7 @@ def apply(
     measured, asked = np.where(usable[..., None], measured, previous), np.where(usable[..., None], asked, previous)
     yaw_measured, yaw_asked = np.where(usable, yaw_measured, yaw_previous), np.where(usable, yaw_asked, yaw_previous)
 
-    # Yaw is worked on as an offset from the middle of its range, so that ±π is no seam inside it
+    # Yaw is an offset from the middle of its range here, so that the range has no seam at ±π
     turn_measured = wrap(yaw_measured - parameters.yaw_centre_rad)
     turn_asked = turn_measured + wrap(yaw_asked - yaw_measured)
     turn_previous = turn_measured + wrap(yaw_previous - yaw_measured)
@@ -178,12 +179,12 @@ def _length(vector: FloatArray) -> FloatArray:
 
 
 def _usable(value: FloatArray) -> BoolArray:
-    """Finite and of a size whose square is finite too; False for NaN."""
+    """Return where a value is finite and small enough to be squared; False for NaN."""
     return np.abs(value) <= 1e6
 
 
 def _within(centre: FloatArray, point: FloatArray, radius: float) -> tuple[FloatArray, BoolArray]:
-    """Pull `point` (..., 3) straight towards `centre` until within `radius`; also whether that was needed (...)."""
+    """Pull `point` (..., 3) straight towards `centre` until within `radius`; also return where (...) it was outside."""
     offset = point - centre
     distance = _length(offset)
     outside = distance > radius

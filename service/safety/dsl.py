@@ -1,12 +1,13 @@
-"""The dynamic safety lock (DSL): limits the depth that a policy may ask for, from contact.
+"""The dynamic safety lock (DSL): limits the depth that a policy may command, depending on the contact.
 
-Algorithm 1 and equations 3 to 6 of the paper "DSL-Assembly: A Robust and Safe Assembly Strategy" (Y. Liu), any batch
-shape. Comments name the line or equation that the code below them implements.
+It implements Algorithm 1 and equations 3 to 6 of the paper "DSL-Assembly: A Robust and Safe Assembly Strategy" (Y. Liu)
+for any batch shape. Comments name the line or equation that the code below them implements.
 
 Frames and signs are those of `docs/reference/frames.md`: base frame, z up, insertion along -z, pressing gives Fz > 0.
 
-NaN must never enter: it would pass into the lock and stay there. A cell's monitor refuses it before, and its bounds
-after; nothing here looks, because this also runs over thousands of simulated cells.
+Arguments must not contain NaN: it would enter the lock's state and stay there. Nothing here checks this, because the
+lock also runs over thousands of simulated cells. In a cell, the monitor refuses NaN before the lock and the bounds
+refuse it after the lock.
 """
 
 from dataclasses import dataclass, fields
@@ -22,14 +23,14 @@ from wire.limits import LockMode
 
 
 class Phase(IntEnum):
-    """What governs a command."""
+    """Rule that decides the z of a command."""
 
     SEEK = 0
-    """No contact: creep down."""
+    """No contact: creep down in search of it."""
     LOCKED = 1
     """In contact: z may not go below the lock."""
     FREE = 3
-    """The policy owns z: `off` always, `sliding` from the first contact on."""
+    """The policy commands z: always in mode `off`, from the first contact on in mode `sliding`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,20 +38,20 @@ class DslParameters:
     """Constants of the lock. They are stored in the policy's contract, because a policy is trained with them.
 
     Attributes:
-        mode: `paper`: Algorithm 1. `sliding`: the search for contact, then the policy owns z. `off`: the policy's
-            command as it is.
-        delta_f: δf, changes of the normalised wrench above which an edge was felt.
+        mode: `paper`: Algorithm 1. `sliding`: search for contact, then the policy commands z. `off`: the policy's
+            command passes unchanged.
+        delta_f: δf, change of each component of the normalised wrench above which an edge is detected.
         beta1: β1 of equation 3, m per unit of normalised wrench.
         beta2: β2 of equation 6, its component along z; m per m.
         force_clip_n: force that normalises to 1, N.
         torque_clip_nm: torque that normalises to 1, N·m.
         contact_threshold: normalised Fz from which there is contact.
         release_threshold: normalised Fz below which contact is lost; None: `contact_threshold`.
-        seek_step_m: δz, the increment downwards while seeking, m.
-        press_m: how far below the lock a command may go, m.
-        lift_max_m: how far above the first contact the lock may rise, m.
-        search_depth_m: depth of one stretch of seeking without contact at which the search has failed, m.
-        search_steps: length of one stretch of seeking, steps, above which the search has failed.
+        seek_step_m: δz, downward increment per step of a search, m.
+        press_m: largest distance that a command may go below the lock, m.
+        lift_max_m: largest distance that the lock may rise above the first contact, m.
+        search_depth_m: depth of one search without contact at which it has failed, m.
+        search_steps: number of steps of one search above which it has failed.
     """
 
     mode: LockMode = "paper"
@@ -71,7 +72,7 @@ class DslParameters:
         """Refuse values that no lock can work with.
 
         Raises:
-            ValueError: the text names the field.
+            ValueError: a field is out of range; the text names it.
         """
         if self.mode not in LockMode.__args__:
             raise ValueError(f"dsl.mode must be one of {', '.join(LockMode.__args__)}, not {self.mode!r}")
@@ -109,11 +110,11 @@ class DslState:
         z_lock: (...) m, the lock in force; NaN while there is none.
         z_contact0: (...) m, height of the first contact; NaN before it.
         previous_n: (..., 6) normalised wrench of the last step.
-        previous_position: (..., 3) m, of the last step.
-        fresh: (...) bool, True until the first step: there is no previous one to subtract.
-        seek_start_z: (...) m, where this stretch of seeking began; NaN outside one.
-        seek_steps: (...) int32, steps of this stretch so far.
-        z_floor: (...) m, base frame, below which no command goes; constant over an episode.
+        previous_position: (..., 3) m, measured TCP of the last step.
+        fresh: (...) bool, True until the first step, which has no previous one to subtract.
+        seek_start_z: (...) m, height at which the present search began; NaN outside a search.
+        seek_steps: (...) int32, steps of the present search so far.
+        z_floor: (...) m, base frame, lowest commanded height in modes `paper` and `sliding`; constant over an episode.
     """
 
     phase: IntArray
@@ -128,11 +129,11 @@ class DslState:
 
     @classmethod
     def begin(cls, shape: tuple[int, ...] = (), z_floor: npt.ArrayLike = -inf) -> Self:
-        """State before the first step.
+        """Return the state before the first step.
 
         Args:
             shape: batch shape; () for one cell.
-            z_floor: broadcastable to `shape`, m, base frame.
+            z_floor: lowest commanded height, broadcastable to `shape`, m, base frame.
         """
         return cls(
             phase=np.full(shape, Phase.SEEK, np.int32),
@@ -147,7 +148,7 @@ class DslState:
         )
 
     def reset(self, mask: npt.ArrayLike, z_floor: npt.ArrayLike | None = None) -> Self:
-        """Forget everything where `mask` (...) is True; `z_floor`, if given, holds for those elements from now on."""
+        """Begin anew where `mask` (...) is True; `z_floor`, if given, replaces the floor of those elements."""
         reset_mask = np.asarray(mask, np.bool_)
         start = self.begin(np.shape(self.fresh), self.z_floor if z_floor is None else z_floor)
         merged: dict[str, Any] = {}
@@ -160,20 +161,20 @@ class DslState:
 
 @dataclass(frozen=True, slots=True)
 class DslOutput:
-    """One step's command and what led to it; base frame, batch shape (...) in front.
+    """Command of one step, with the decisions behind it; base frame, batch shape (...) in front.
 
     Attributes:
         position: (..., 3) m, TCP target, before the command bounds.
         dyaw: (...) rad, to add to the measured yaw.
-        z_lock: (...) m, the lock that held for this command; NaN while seeking or free.
-        phase: (...) int32, the `Phase` that governed this command (the state holds that of the next).
-        edge: (...) a jump of the wrench above δf was felt while locked.
-        contact: (...) normalised Fz at or above the contact threshold.
-        clamped: (...) the lock or the floor raised the z that was asked for.
-        saturated: (..., 6) components of the wrench at or beyond the clip. A ceiling must judge the wrench, not the
-            clipped value.
-        search_depth_exceeded: (...) no contact within `search_depth_m`; the tip is held.
-        search_time_exceeded: (...) no contact within `search_steps`; the tip is held.
+        z_lock: (...) m, height of the lock for this command; NaN while seeking or free.
+        phase: (...) int32, `Phase` of this command (the state holds the phase of the next one).
+        edge: (...) True where the wrench jumped by more than δf while locked.
+        contact: (...) True where normalised Fz is at or above the contact threshold.
+        clamped: (...) True where the lock or the floor raised the requested z.
+        saturated: (..., 6) True for components of the wrench at or beyond the clip. A ceiling must judge the wrench,
+            not the clipped value.
+        search_depth_exceeded: (...) True where there was no contact within `search_depth_m`; the tip is held.
+        search_time_exceeded: (...) True where there was no contact within `search_steps`; the tip is held.
     """
 
     position: FloatArray
@@ -196,18 +197,18 @@ def step(
     action: npt.ArrayLike,
     reset_mask: npt.ArrayLike | None = None,
 ) -> tuple[DslState, DslOutput]:
-    """One control step of the lock.
+    """Run one control step of the lock.
 
     Args:
-        parameters: the same for the whole batch.
+        parameters: constants, the same for the whole batch.
         state: from `DslState.begin` or the last step.
         position: (..., 3) m, measured TCP.
-        wrench: (..., 6) N and N·m at the TCP, base axes, zeroed and compensated, what the environment does to the tool.
+        wrench: (..., 6) N and N·m at the TCP, base axes, zeroed and compensated: the environment's action on the tool.
         action: (..., 4) dx, dy, dz in m, dθ in rad, base frame.
         reset_mask: (...) bool, elements to reset before the step.
 
     Returns:
-        The next state and the command. A NaN in an argument goes into both.
+        The next state and the command. A NaN in an argument passes into both.
     """
     if reset_mask is not None:
         state = state.reset(reset_mask)
@@ -248,19 +249,19 @@ def step(
     return next_state, output
 
 
-# --- what every mode begins with
+# --- common to all modes
 
 
 @dataclass(frozen=True, slots=True)
 class _Felt:
-    """The wrench of one step, normalised, and what has changed since the last step.
+    """The normalised wrench of one step, and the changes since the last step.
 
     Attributes:
         n: (..., 6) normalised wrench.
         delta_n: (..., 6) its change; zero on the first step.
         delta_p: (..., 3) m, displacement of the TCP; zero on the first step.
-        contact: (...) normalised Fz at or above the contact threshold.
-        saturated: (..., 6) components at or beyond the clip.
+        contact: (...) True where normalised Fz is at or above the contact threshold.
+        saturated: (..., 6) True for components at or beyond the clip.
     """
 
     n: FloatArray
@@ -271,7 +272,7 @@ class _Felt:
 
 
 def _feel(parameters: DslParameters, state: DslState, p: FloatArray, w: FloatArray) -> _Felt:
-    """Algorithm 1, "normalized the F/T sensor data", and Δ over one step."""
+    """Normalise the wrench (Algorithm 1, "normalized the F/T sensor data") and take Δ over one step."""
     ratio = w / np.array([parameters.force_clip_n] * 3 + [parameters.torque_clip_nm] * 3)
     n = np.clip(ratio, -1.0, 1.0)
     moved = ~state.fresh
@@ -289,12 +290,12 @@ class _Search:
     """The search for contact after one step.
 
     Attributes:
-        under_way: (...) there is no contact and the tip creeps down.
+        under_way: (...) True while there is no contact and the tip creeps down.
         z_contact0: (...) m, height of the first contact; NaN before it.
-        start_z: (...) m, where this stretch of the search began; NaN outside one.
-        steps: (...) int32, steps of this stretch.
-        too_deep: (...) the stretch has reached `search_depth_m`; the tip is held.
-        too_long: (...) the stretch has reached `search_steps`; the tip is held.
+        start_z: (...) m, height at which the present search began; NaN outside a search.
+        steps: (...) int32, steps of the present search.
+        too_deep: (...) True where the search would go beyond `search_depth_m`; the tip is held.
+        too_long: (...) True where the search has lasted longer than `search_steps`; the tip is held.
         command: (...) m, height commanded while the search is under way.
     """
 
@@ -308,7 +309,7 @@ class _Search:
 
 
 def _search(parameters: DslParameters, state: DslState, felt: _Felt, z: FloatArray, dz: FloatArray) -> _Search:
-    """Algorithm 1, "while not contact": creep down by δz and the policy's dz, bounded in depth and time."""
+    """Search for contact (Algorithm 1, "while not contact"): creep down by δz plus the policy's dz, within bounds."""
     seeking = (state.phase == Phase.SEEK) & (parameters.mode != "off")
     under_way = seeking & ~felt.contact
     first = felt.contact & np.isnan(state.z_contact0)
@@ -334,16 +335,16 @@ def _search(parameters: DslParameters, state: DslState, felt: _Felt, z: FloatArr
 
 @dataclass(frozen=True, slots=True)
 class _Height:
-    """What a mode decides about z; batch shape (...).
+    """Decision of a mode about z; batch shape (...).
 
     Attributes:
-        asked: m, height asked for.
+        asked: m, height requested.
         command: m, height commanded.
-        lock: m, the lock that holds for this command; NaN without one.
-        next_lock: m, the lock that the next step begins with.
-        phase: `Phase` that governs this command.
-        next_phase: `Phase` that the next step begins in.
-        edge: a jump of the wrench above δf was felt while locked.
+        lock: m, height of the lock for this command; NaN without one.
+        next_lock: m, height of the lock at the beginning of the next step.
+        phase: `Phase` of this command.
+        next_phase: `Phase` at the beginning of the next step.
+        edge: True where the wrench jumped by more than δf while locked.
     """
 
     asked: FloatArray
@@ -358,14 +359,14 @@ class _Height:
 def _paper(
     parameters: DslParameters, state: DslState, felt: _Felt, search: _Search, p: FloatArray, dz: FloatArray
 ) -> _Height:
-    """Algorithm 1: seek until contact; in contact hold z above the lock, which an edge raises."""
+    """Algorithm 1: seek until contact, then keep z above the lock. An edge raises the lock."""
     z = p[..., 2]
     locked = ~search.under_way
     # "if Δn > δf": an edge was felt
     edge: BoolArray = np.asarray((np.abs(felt.delta_n) > np.array(parameters.delta_f)).any(-1))
-    # Equation 3, summed as in equation 4. The increment raises, so a negative sum does not lower the lock
+    # Equation 3, summed as in equation 4. The increment only raises: a negative sum does not lower the lock
     raised = np.maximum((felt.delta_n[..., :3] + felt.delta_n[..., 3:]) @ np.array(parameters.beta1), 0.0)
-    # Equations 5 and 6: without an edge the lock stays at the tip, but for a drift of about a micrometre
+    # Equations 5 and 6: without an edge the lock is at the tip, plus a drift of about a micrometre
     drift = parameters.beta2 * np.sqrt((felt.delta_p * felt.delta_p).sum(-1))
     # Bounds that the paper leaves open: never above the first contact plus the lift, never below the floor
     highest = search.z_contact0 + parameters.lift_max_m
@@ -392,7 +393,7 @@ def _paper(
 def _sliding(
     parameters: DslParameters, state: DslState, felt: _Felt, search: _Search, p: FloatArray, dz: FloatArray
 ) -> _Height:
-    """The same search for contact, without a lock after it: the policy owns z."""
+    """Search for contact as in `paper`, then let the policy command z without a lock."""
     asked = np.where(search.under_way, search.command, p[..., 2] + dz)
     phase = np.where(search.under_way, Phase.SEEK, Phase.FREE)
     return _unlocked(asked, np.maximum(asked, state.z_floor), phase)
@@ -401,7 +402,7 @@ def _sliding(
 def _off(
     parameters: DslParameters, state: DslState, felt: _Felt, search: _Search, p: FloatArray, dz: FloatArray
 ) -> _Height:
-    """The policy owns z from the first step on."""
+    """Let the policy command z from the first step on."""
     asked = p[..., 2] + dz
     return _unlocked(asked, asked, np.full(np.shape(asked), Phase.FREE))
 

@@ -1,6 +1,6 @@
-"""Judges every sensor sample of one cell, at 500 Hz, apart from the policy, the run and everything slower.
+"""Judges every sensor sample of one cell at 500 Hz, independently of the policy, the run and everything slower.
 
-Plain floats and `math`: on six numbers numpy's call overhead would be most of the time.
+It uses plain floats and `math`: on six numbers numpy's call overhead would dominate.
 """
 
 from dataclasses import dataclass, fields
@@ -14,24 +14,24 @@ from service.safety.verdict import IGNORED, PASSED, Verdict
 from wire.limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 
 PLAUSIBLE = 1e6
-"""N, N·m, m, rad and their rates: no cell measures more, and what is more overflows where it is squared."""
+"""Largest plausible magnitude, in N, N·m, m, rad and their rates. No cell measures more, and squares may overflow."""
 STANDING_STAMPS = 3
-"""So many stamps in a row that do not advance are a clock that stands; one may have been set back."""
+"""Consecutive stamps without advance that mean a stopped clock. A clock that was set back gives a single one."""
 
 
 @dataclass(frozen=True, slots=True)
 class MonitorParameters:
-    """Limits of a sample; the numbers are the configuration's.
+    """Limits on a sample; the configuration sets the values.
 
     Attributes:
         force_ceiling_n: resultant force that trips, N.
         torque_ceiling_nm: resultant torque at the TCP that trips, N·m.
-        stuck_samples: this many bit-identical wrenches in a row mean that the sensor is stuck.
-        max_age_s: age of the newest sample from which the cell is blind, s.
-        max_gap_s: largest step forward between the time stamps of two samples that follow each other, s.
-        force_range_n: a force component at or beyond this is at the end of the sensor's range and trips as well;
-            infinite where the source itself says when it saturates.
-        torque_range_nm: likewise for torque.
+        stuck_samples: number of consecutive bit-identical wrenches that mean a stuck sensor.
+        max_age_s: age of the newest sample from which the cell counts as blind, s.
+        max_gap_s: largest forward step between the time stamps of two consecutive samples, s.
+        force_range_n: force component at the end of the sensor's range, N; it trips as well. Infinite if the source
+            itself reports saturation.
+        torque_range_nm: torque component at the end of the sensor's range, N·m; otherwise as `force_range_n`.
     """
 
     force_ceiling_n: float
@@ -46,7 +46,7 @@ class MonitorParameters:
         """Refuse limits that guard nothing.
 
         Raises:
-            ValueError: the text names the field.
+            ValueError: a field is out of range; the text names it.
         """
         for field in fields(self):
             value = getattr(self, field.name)
@@ -67,10 +67,9 @@ class MonitorParameters:
 
 
 class Monitor:
-    """Judge of one cell's samples; not shared between cells or threads.
+    """Judges one cell's samples; not shared between cells or threads.
 
-    It decides about one sample at a time and latches nothing: the first fault must stop the cell for good, which is
-    the caller's latch.
+    It judges each sample on its own and latches nothing. The caller must latch the first fault.
     """
 
     __slots__ = (
@@ -92,7 +91,7 @@ class Monitor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget source, sequence and peak: the next sample is the first. For a new connection or a new episode."""
+        """Forget source, sequence and peak, for a new connection or a new episode. The next sample is the first."""
         self._epoch: int | None = None
         self._episode = 0
         self._seq = -1
@@ -133,15 +132,15 @@ class Monitor:
         """Judge one sample, on arrival.
 
         Args:
-            epoch: identity of the source; 0 where it has none.
-            episode: count of world resets; 0 where there are none.
-            seq: counts up within an episode.
-            time_s: the source's stamp, s. Never used as an age: clocks step.
+            epoch: identity of the source; 0 if it has none.
+            episode: number of world resets; 0 if there are none.
+            seq: sequence number, which increases within an episode.
+            time_s: time stamp of the source, s. It is never used as an age, because clocks step.
             wrench: (6,) N, N·m at the TCP, base frame, not clipped.
-            motion: any shape; the other numbers of the sample that the cell goes by (pose, velocity). Only their
+            motion: any shape; the other numbers of the sample that the cell uses (pose, velocity). Only their
                 finiteness and plausibility are judged.
-            saturated: a raw channel is at the end of the sensor's range.
-            now: arrival, s, of the caller's monotonic clock.
+            saturated: True if a raw channel is at the end of the sensor's range.
+            now: time of arrival on the caller's monotonic clock, s.
 
         Returns:
             `PASSED`, `IGNORED` (a duplicate or an older sample, which refreshes nothing), or a fault.
@@ -156,7 +155,7 @@ class Monitor:
         self._seq = seq
 
         fx, fy, fz, tx, ty, tz = wrench.tolist()
-        # A sum is finite only if every term is, and only then do min and max mean anything
+        # A sum is finite only if every term is finite; `max` has a meaning only then
         if not (
             isfinite(fx + fy + fz + tx + ty + tz)
             and max(abs(fx), abs(fy), abs(fz), abs(tx), abs(ty), abs(tz)) <= PLAUSIBLE
@@ -219,7 +218,7 @@ class Monitor:
                 FaultCode.STALE,
                 self._standing,
                 STANDING_STAMPS,
-                f"the time stamp has not advanced for {self._standing} samples: the source's clock stands",
+                f"the time stamp has not advanced for {self._standing} samples: the source's clock has stopped",
             )
         if gap > limits.max_gap_s:
             return Verdict(
@@ -232,11 +231,11 @@ class Monitor:
         return PASSED
 
     def age(self, now: float) -> float:
-        """Time since the newest accepted sample arrived, s; infinite before the first."""
+        """Return the time since the newest accepted sample arrived, s; infinite before the first."""
         return now - self._arrival
 
     def overdue(self, now: float) -> Verdict:
-        """Judge the silence: to be asked every tick, whether a sample came or not."""
+        """Judge the time without a sample. Call it every tick, with or without a new sample."""
         age = now - self._arrival
         if age < self._parameters.max_age_s:
             return PASSED
@@ -244,7 +243,7 @@ class Monitor:
         return Verdict(FaultCode.STALE, age, limit, f"no sample for {age * 1e3:.1f} ms, limit {limit * 1e3:g} ms")
 
     def _other_source(self, epoch: int, episode: int, now: float) -> Verdict:
-        """Two sources at once, or one that came back as another: never to be resumed by itself."""
+        """Return the fault of a sample from another source. Such samples fail until `reset`."""
         if epoch == self._epoch:
             return Verdict(
                 FaultCode.SOURCE,

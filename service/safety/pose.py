@@ -1,6 +1,6 @@
-"""Orientation of a tool that points down: `R = Rz(yaw) · Rx(π)`, tilted by a little.
+"""Yaw and tilt of a tool that points down: `R = Rz(yaw) · Rx(π)`, plus a small tilt.
 
-`docs/reference/frames.md` has the frames.
+`docs/reference/frames.md` defines the frames.
 """
 
 import numpy as np
@@ -10,12 +10,12 @@ from wire.arrays import FloatArray
 
 
 def wrap(angle: npt.ArrayLike) -> FloatArray:
-    """Bring angles, rad, into [-π, π)."""
+    """Return angles, rad, wrapped into [-π, π)."""
     return np.remainder(np.asarray(angle, np.float64) + np.pi, 2 * np.pi) - np.pi
 
 
 def rotvec_from_yaw(yaw: npt.ArrayLike) -> FloatArray:
-    """Rotation vector (..., 3), base frame, of the untilted tool at `yaw` (...), rad.
+    """Return the rotation vector (..., 3), base frame, of the untilted tool at `yaw` (...), rad.
 
     `Rz(yaw) · Rx(π)` is the half turn about the horizontal axis at yaw/2.
     """
@@ -24,13 +24,13 @@ def rotvec_from_yaw(yaw: npt.ArrayLike) -> FloatArray:
 
 
 def yaw_and_tilt(rotvec: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Split an orientation.
+    """Split an orientation into yaw and tilt.
 
     Args:
         rotvec: (..., 3), rad, base frame.
 
     Returns:
-        yaw: (...), rad in [-π, π], of the TCP's x axis about the base z axis.
+        yaw: (...), rad in [-π, π], angle of the TCP's x axis about the base z axis.
         tilt: (..., 2), rad, x and y of the smallest rotation, base frame, that takes straight down to the tool's z.
     """
     vector = np.asarray(rotvec, np.float64)

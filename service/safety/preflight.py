@@ -1,4 +1,4 @@
-"""Checks of the sensor and the pose before a run, standing still in free air."""
+"""Checks of the sensor and the pose before a run, while the arm stands still in free air."""
 
 from dataclasses import dataclass, fields
 from math import isfinite
@@ -13,21 +13,21 @@ from wire.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class PreflightParameters:
-    """What a cell must look like before it may start; the numbers are the configuration's.
+    """Conditions for the start of a run; the configuration sets the values.
 
     Attributes:
-        window_samples: fewest samples to judge from.
-        contact_force_n: mean resultant force from which something touches the tool, N.
+        window_samples: smallest number of samples to judge from.
+        contact_force_n: mean resultant force that means contact at the tool, N.
         bias_force_n: largest mean resultant force after zeroing, N; below `contact_force_n`.
-        bias_torque_nm: likewise for torque, N·m.
+        bias_torque_nm: largest mean resultant torque after zeroing, N·m.
         noise_force_n: largest standard deviation of a force component, N.
-        noise_torque_nm: likewise for torque, N·m.
+        noise_torque_nm: largest standard deviation of a torque component, N·m.
         position_m: largest distance from the start position, m.
         yaw_rad: largest angle from the start yaw, rad.
         tilt_rad: largest tilt, rad.
-        unzeroed_force_n: mean resultant force before zeroing from which something loads the tool, N; above what the
-            sensor's bias and the payload's error can make of it.
-        unzeroed_torque_nm: likewise for torque, at the TCP, N·m.
+        unzeroed_force_n: mean resultant force before zeroing that means a loaded tool, N. It is above the largest force
+            that the sensor's bias and the payload's error can cause.
+        unzeroed_torque_nm: mean resultant torque at the TCP before zeroing that means a loaded tool, N·m.
     """
 
     window_samples: int
@@ -46,7 +46,7 @@ class PreflightParameters:
         """Refuse limits that check nothing.
 
         Raises:
-            ValueError: the text names the field.
+            ValueError: a field is out of range; the text names it.
         """
         for field in fields(self):
             value = getattr(self, field.name)
@@ -59,7 +59,7 @@ class PreflightParameters:
 
 
 def check_unzeroed(parameters: PreflightParameters, window: FloatArray) -> Verdict:
-    """Judge the load before it is taken as zero: a tool that is pressed already would be zeroed into free air.
+    """Judge the load before zeroing: the zero would hide a force that already presses on the tool.
 
     Args:
         parameters: limits.
@@ -78,7 +78,7 @@ def check_unzeroed(parameters: PreflightParameters, window: FloatArray) -> Verdi
                 FaultCode.CONTACT_AT_START,
                 value,
                 limit,
-                f"the sensor reads {value:.2f} {unit} before it is zeroed, a free tool less than {limit:g} {unit}: "
+                f"the sensor reads {value:.2f} {unit} before zeroing, limit for a free tool {limit:g} {unit}: "
                 "free the tool; if nothing touches it, zero the sensor at the robot or check the payload",
             )
     return PASSED
@@ -100,7 +100,7 @@ def check_wrench(parameters: PreflightParameters, window: FloatArray) -> Verdict
             FaultCode.STALE,
             len(window),
             parameters.window_samples,
-            f"{len(window)} samples to check the sensor with, want {parameters.window_samples}",
+            f"{len(window)} samples are too few to check the sensor, want {parameters.window_samples}",
         )
     if not np.isfinite(window).all():
         return Verdict(FaultCode.SENSOR_INVALID, text="the wrench is not finite in free air")
@@ -143,15 +143,15 @@ def check_start_pose(
     start_position: npt.NDArray[np.float64],
     start_yaw: float,
 ) -> Verdict:
-    """Judge whether the arm stands where the run begins.
+    """Judge whether the arm stands at the start pose.
 
     Args:
         parameters: limits.
         position: (3,) m, measured TCP, base frame.
         yaw: rad, measured.
         tilt: (2,) rad, measured (`pose.yaw_and_tilt`).
-        start_position: (3,) m, of the recipe.
-        start_yaw: rad, of the recipe.
+        start_position: (3,) m, start position of the recipe.
+        start_yaw: rad, start yaw of the recipe.
 
     Returns:
         BOUNDS with the deviation, SENSOR_INVALID for a pose that is not finite, or passed.

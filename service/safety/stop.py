@@ -1,4 +1,4 @@
-"""Whether a stop took effect, by measured velocity."""
+"""Confirms by measured velocity that a stop took effect."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -15,18 +15,18 @@ class StopState(StrEnum):
     WAITING = "WAITING"
     CONFIRMED = "CONFIRMED"
     UNCONFIRMED = "UNCONFIRMED"
-    """The deadline passed with the arm moving or unseen: escalate."""
+    """The deadline passed while the arm moved or was not measured: escalate."""
 
 
 @dataclass(frozen=True, slots=True)
 class StopParameters:
-    """What counts as stopped.
+    """Criteria of a confirmed stop.
 
     Attributes:
         linear_mps: TCP speed below which the arm stands, m/s.
-        angular_radps: likewise, rad/s.
-        settle_s: how long it must stand without a break, s.
-        deadline_s: when the stop must be confirmed at the latest, s after the command.
+        angular_radps: angular TCP speed below which the arm stands, rad/s.
+        settle_s: uninterrupted standstill that confirms the stop, s.
+        deadline_s: latest time of the confirmation, s after the command.
     """
 
     linear_mps: float = STANDSTILL_M_S
@@ -38,7 +38,7 @@ class StopParameters:
         """Refuse limits that confirm nothing.
 
         Raises:
-            ValueError: the text names the field.
+            ValueError: a field is out of range; the text names it.
         """
         for name in ("linear_mps", "angular_radps", "settle_s", "deadline_s"):
             value = getattr(self, name)
@@ -49,12 +49,17 @@ class StopParameters:
 
 
 class StopConfirmation:
-    """Watches one stop from its command on; CONFIRMED and UNCONFIRMED are final."""
+    """Watches one stop from its command on. CONFIRMED and UNCONFIRMED are final."""
 
     __slots__ = ("_commanded_at", "_parameters", "_speed", "_state", "_still_since")
 
     def __init__(self, parameters: StopParameters, now: float) -> None:
-        """`now`: when the stop command left, s of the caller's monotonic clock."""
+        """Begin to watch.
+
+        Args:
+            parameters: criteria.
+            now: time at which the stop command left, on the caller's monotonic clock, s.
+        """
         self._parameters = parameters
         self._commanded_at = now
         self._still_since: float | None = None
@@ -63,21 +68,21 @@ class StopConfirmation:
 
     @property
     def last_speed_mps(self) -> float | None:
-        """Newest measured TCP speed, m/s; None when no finite sample came."""
+        """Newest finite measured TCP speed, m/s; None before the first."""
         return self._speed
 
     def observe(self, velocity: npt.NDArray[np.float64], now: float) -> StopState:
         """Take in the velocity of a new sample.
 
         Args:
-            velocity: (6,) m/s and rad/s, measured TCP velocity. One that is not finite counts as moving.
-            now: arrival, s.
+            velocity: (6,) m/s and rad/s, measured TCP velocity. A velocity that is not finite counts as moving.
+            now: time of arrival, s.
         """
         vx, vy, vz, wx, wy, wz = velocity.tolist()
         linear, angular = hypot(vx, vy, vz), hypot(wx, wy, wz)
         if isfinite(linear):
             self._speed = linear
-        # Written so that NaN is not still
+        # A comparison with NaN is False, so NaN counts as moving
         still = linear < self._parameters.linear_mps and angular < self._parameters.angular_radps
         if not still:
             self._still_since = None
@@ -93,7 +98,7 @@ class StopConfirmation:
         return self.check(now)
 
     def check(self, now: float) -> StopState:
-        """Say where the stop stands; to be asked every tick, whether a sample came or not."""
+        """Return the state of the stop. Call it every tick, with or without a new sample."""
         if self._state is StopState.WAITING and now - self._commanded_at >= self._parameters.deadline_s:
             self._state = StopState.UNCONFIRMED
         return self._state

@@ -1,4 +1,4 @@
-"""The answer of a check."""
+"""The result of a check."""
 
 from dataclasses import dataclass
 
@@ -7,13 +7,13 @@ from service.faults import FaultCode
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a check found.
+    """Result of a check.
 
     Attributes:
-        fault: None when nothing is wrong.
-        measured: the value that was judged, in the unit of `limit`.
-        limit: what it was judged against.
-        text: what is wrong, with the numbers; empty when nothing is.
+        fault: fault found; None when nothing is wrong.
+        measured: value that was judged, in the unit of `limit`.
+        limit: limit that the value was judged against.
+        text: description of the fault, with its numbers; empty without a fault.
         accepted: False for a sample that is ignored (a duplicate, or older than the newest).
     """
 

@@ -245,7 +245,7 @@ def _add_cameras(spec: mujoco.MjSpec) -> None:
 
 
 def _looking(eye: FloatArray, target: FloatArray, up: FloatArray) -> FloatArray:
-    """Quaternion (w, x, y, z) of a camera at `eye` whose -z axis points at `target`, its y axis towards `up`."""
+    """Return the quaternion (w, x, y, z) of a camera at `eye`: -z axis towards `target`, y axis towards `up`."""
     back = (eye - target) / np.linalg.norm(eye - target)
     right = np.cross(up, back)
     right /= np.linalg.norm(right)

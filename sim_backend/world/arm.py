@@ -1,8 +1,8 @@
 """The emulated arm controller: pose targets in, joint set-points out, 500 times a second, for n arms at once.
 
-It holds the compliance law, follows it by inverse kinematics, and has limits of its own: workspace, step, speed, force
-ceiling, age of the target, joint range, distance from singularities, and a protective stop. On a UR arm the control
-program and the robot do the same; these limits are the inner layer below the service's.
+It evaluates the compliance law, follows it by inverse kinematics, and has limits of its own: workspace, step, speed,
+force ceiling, age of the target, joint range, distance from singularities, and a protective stop. On a UR arm the
+control program and the robot do the same. These limits are an inner layer below the service's limits.
 """
 
 import numpy as np
@@ -23,23 +23,23 @@ SINGULARITY_MARGIN = 0.05
 PROTECTIVE_FORCE_N = 150.0
 PROTECTIVE_ERROR_RAD = 0.05
 STOP_S = 0.1
-"""Within it a stop's speed limit falls to zero: long enough to give way to a contact, and noise cannot draw it out."""
+"""Time in which a stop's speed limit falls to zero, s: long enough to yield to a contact. Noise cannot prolong it."""
 MIN_PROTECTIVE_STOP_S = 5.0
-"""An unlock is refused earlier than this, as on a UR controller."""
+"""Shortest protective stop, s. An earlier unlock is refused, as on a UR controller."""
 
 _STEP = kinematics.JOINT_SPEED_RAD_S * TICK_S
 _NOT_SATURATED = np.bool_(False)
 
 
 class ArmController:
-    """n controllers.
+    """Controllers of n arms.
 
     Args:
-        n: how many.
-        tcp_offset_m: TCP along the flange's z axis.
-        payload: mass kg and its centre along the flange's z axis m, for the gravity that the joints carry.
-        stiffness: (6,) N·m/rad of the joint servos.
-        damping: (6,) N·m·s/rad of the joint servos.
+        n: number of arms.
+        tcp_offset_m: distance of the TCP along the flange's z axis, m.
+        payload: mass, kg, and its centre along the flange's z axis, m, for the gravity that the joints carry.
+        stiffness: (6,) stiffness of the joint servos, N·m/rad.
+        damping: (6,) damping of the joint servos, N·m·s/rad.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class ArmController:
         self._phase = np.zeros(n, np.int64)
 
     def place(self, cells: CellIndices, joints: FloatArray, target_delay: CellIndices) -> None:
-        """Put arms at rest at `joints` (k, 6), disengaged; a target takes effect after `target_delay` (k,) ticks."""
+        """Put arms at rest at `joints` (k, 6), disengaged. Targets take effect after `target_delay` (k,) ticks."""
         self.joints[cells] = joints
         self.program[cells] = Program.IDLE
         self.stop_reason[cells] = StopReason.NONE
@@ -94,13 +94,13 @@ class ArmController:
 
         Args:
             cells: (k,) arms.
-            stiffness: (6,) or (k, 6), N/m and N·m/rad; likewise `damping`, `inertia`: see `compliance.Law`.
-            damping: N·s/m and N·m·s/rad.
-            inertia: kg and kg·m².
+            stiffness: (6,) or (k, 6), N/m and N·m/rad; see `compliance.Law`.
+            damping: (6,) or (k, 6), N·s/m and N·m·s/rad.
+            inertia: (6,) or (k, 6), kg and kg·m².
             limits: the program's own limits.
 
         Returns:
-            (k,) which arms were engaged: those that were idle.
+            (k,) True for the arms that were engaged: those that were idle.
         """
         idle = self.program[cells] == Program.IDLE
         cells = cells[idle]
@@ -122,7 +122,7 @@ class ArmController:
         return idle
 
     def set_target(self, cells: CellIndices, position: FloatArray, orientation: FloatArray) -> npt.NDArray[np.bool_]:
-        """Give arms a new target; a bad one stops the program, it is not clipped.
+        """Give arms a new target. A bad target stops the program; it is not clipped.
 
         Args:
             cells: (k,) arms.
@@ -130,7 +130,7 @@ class ArmController:
             orientation: (k, 4) quaternion, scalar first.
 
         Returns:
-            (k,) which were accepted: engaged, finite, inside the workspace, within the step limit.
+            (k,) True for accepted targets: arm engaged, values finite, inside the workspace, within the step limit.
         """
         engaged = self.program[cells] == Program.ENGAGED
         finite = np.isfinite(position).all(1) & np.isfinite(orientation).all(1)
@@ -156,7 +156,7 @@ class ArmController:
         self._stop(cells[self.program[cells] == Program.ENGAGED], reason)
 
     def unlock(self, cells: CellIndices) -> None:
-        """Leave the protective stop, if it has lasted long enough."""
+        """Release the protective stop, if it has lasted for `MIN_PROTECTIVE_STOP_S`."""
         ready = (self.program[cells] == Program.PROTECTIVE_STOP) & (
             self._halted[cells] * TICK_S >= MIN_PROTECTIVE_STOP_S
         )
@@ -173,11 +173,11 @@ class ArmController:
         """Run one tick.
 
         Args:
-            joints: (n, 6) measured, rad.
-            wrench: (n, 6) compensated, at the TCP, base axes, as the sensor gave it.
+            joints: (n, 6) measured joint angles, rad.
+            wrench: (n, 6) compensated wrench of the sensor, at the TCP, base axes.
             position: (n, 3) measured TCP.
             orientation: (n, 4) quaternion of the measured TCP.
-            saturated: (n,) whose sensor is at the end of its range: its true load counts as above the ceiling.
+            saturated: (n,) True where the sensor is at the end of its range; its load then counts as above the ceiling.
 
         Returns:
             (n, 6) set-points for the joint servos, rad, with the lead and sag that make the arm follow closely.
@@ -189,7 +189,7 @@ class ArmController:
             advance(self.law, self.reference, self.target_position, self.target_quaternion, wrench)
         else:
             self._advance_some(wrench)
-        # each arm's own phase, so that what happens to one arm does not reach into another
+        # every arm has a phase of its own, so that an event of one arm does not affect another
         due = self._phase == 0
         if due.all():
             self._solve(self._all)
@@ -219,7 +219,7 @@ class ArmController:
         orientation: FloatArray,
         saturated: npt.NDArray[np.bool_] | np.bool_,
     ) -> FloatArray:
-        """Stop what must be stopped; return the wrench to go by, zero where it is not a number."""
+        """Stop arms that violate a limit; return the wrench to use, zero where it is not a number."""
         force = np.sqrt((wrench[:, :3] ** 2).sum(1))
         np.fmax(self.peak_force, force, out=self.peak_force)
         self._age += 1
@@ -230,7 +230,7 @@ class ArmController:
         if over.any() or old.any():
             self.stop(np.flatnonzero(over), StopReason.FORCE_CEILING)
             self.stop(np.flatnonzero(old), StopReason.TARGET_AGE)
-        # a stop holds where the arm is, not where the reference had got to
+        # a stop holds the arm's position, not the reference's
         ending = np.flatnonzero((self.program == Program.STOPPING) & (self._halted == 1))
         if ending.size:
             self.target_position[ending] = position[ending]
@@ -241,7 +241,7 @@ class ArmController:
         return wrench if known.all() else np.where(known[:, None], wrench, 0.0)
 
     def _brake(self, racing: npt.NDArray[np.bool_], rates: FloatArray) -> None:
-        """A joint faster than it can turn: what a singularity that comes near shows first."""
+        """Stop arms with a joint rate beyond its limit, the first sign of a near singularity."""
         self.stop(np.flatnonzero(racing), StopReason.KINEMATICS)
         self.reference.twist[racing] = 0.0
         rates[racing] = 0.0
@@ -261,7 +261,7 @@ class ArmController:
         self._phase[fresh] = 0
 
     def _advance_some(self, wrench: FloatArray) -> None:
-        """The law for arms that are engaged or coming to rest; the others hold their reference."""
+        """Advance the law for arms that are engaged or coming to rest. The others hold their reference."""
         held = (self.program == Program.IDLE) | (self.program == Program.PROTECTIVE_STOP)
         stopping = self.program == Program.STOPPING
         left = np.maximum(1.0 - self._halted[stopping] * (TICK_S / STOP_S), 0.0)
@@ -295,11 +295,11 @@ class ArmController:
             self.reference.quaternion[cells[held]] = orientation[held]
         turn = quaternion.between(orientation, self.reference.quaternion[cells])
         error = np.concatenate([self.reference.position[cells] - position, turn], axis=1)
-        error -= TICK_S * self.reference.twist[cells]  # the step that follows
+        error -= TICK_S * self.reference.twist[cells]  # `update` adds this step afterwards
         joints += np.clip(np.einsum("nij,nj->ni", inverse, error), -_STEP, _STEP)
         self.joints[cells] = joints
         self._servo.refresh(cells, joints)
 
     def _tcp(self, flange: FloatArray, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Position (k, 3) and quaternion (k, 4) of the TCP for a flange's pose."""
+        """Return position (k, 3) and quaternion (k, 4) of the TCP for a flange's pose."""
         return flange + rotation @ self._offset, quaternion.from_rotvec(pose.rotvec_from_rotation(rotation))

@@ -2,12 +2,13 @@
 
     inertia · v̇  =  stiffness · e  −  damping · v  +  wrench
 
-`e` is the pose of the target seen from the reference (base axes), `v` the reference's twist, `wrench` what the sensor
-says that the environment does to the tool. The reference is what the position-controlled arm follows. Translation and
+`e` is the pose of the target relative to the reference (base axes), `v` the reference's twist, and `wrench` the
+measured wrench of the environment on the tool. The position-controlled arm follows the reference. Translation and
 rotation are about the TCP, the peg's tip, so a corner that catches turns the peg about its tip and does not drag it
 sideways.
-It needs nothing but the pose, the compensated wrench and position commands: any UR controller can run it. Why this law
-and not joint torques or `force_mode`: `docs/explanation/decisions/0004-admittance.md`.
+
+The law needs only the pose, the compensated wrench and position commands, so any UR controller can run it.
+`docs/explanation/decisions/0004-admittance.md` compares it with joint torques and `force_mode`.
 """
 
 from dataclasses import dataclass
@@ -21,9 +22,13 @@ from wire.records import TICK_S
 
 @dataclass(slots=True)
 class Law:
-    """Parameters, each (n, 6): N/m and N·m/rad; N·s/m and N·m·s/rad; kg and kg·m².
+    """Parameters of the law for n arms.
 
-    `max_speed` is (n, 2), m/s and rad/s.
+    Attributes:
+        stiffness: (n, 6) N/m and N·m/rad.
+        damping: (n, 6) N·s/m and N·m·s/rad.
+        inertia: (n, 6) kg and kg·m².
+        max_speed: (n, 2) m/s and rad/s.
     """
 
     stiffness: FloatArray
@@ -34,9 +39,12 @@ class Law:
 
 @dataclass(slots=True)
 class Reference:
-    """What the arm is told to follow, in the base frame.
+    """Pose and twist that n arms follow, base frame.
 
-    `position` (n, 3) m, `quaternion` (n, 4) scalar first, `twist` (n, 6) m/s and rad/s.
+    Attributes:
+        position: (n, 3) m.
+        quaternion: (n, 4) scalar first.
+        twist: (n, 6) m/s and rad/s.
     """
 
     position: FloatArray
@@ -49,12 +57,13 @@ def advance(
 ) -> None:
     """Advance the reference by one tick, in place.
 
-    Semi-implicit: stiffness and damping act on the twist at the end of the tick, so that no choice of parameters
-    makes the law unstable by itself. What limits them is the loop through the contact: see the decision record.
+    The step is semi-implicit: stiffness and damping act on the twist at the end of the tick, so that no choice of
+    parameters makes the law unstable by itself. The loop through the contact limits the parameters; see the decision
+    record.
 
     Args:
         law: parameters of n arms.
-        reference: theirs, changed in place.
+        reference: pose and twist of n arms, changed in place.
         target_position: (n, 3) m, base frame.
         target_quaternion: (n, 4) scalar first.
         wrench: (n, 6) N and N·m, on the tool at the TCP, base axes.

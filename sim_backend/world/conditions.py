@@ -1,6 +1,6 @@
-"""Variation from episode to episode: the standard conditions, which `docs/reference/conditions.md` describes in full.
+"""Distributions from which an episode is drawn: the conditions that `docs/reference/conditions.md` describes.
 
-Values on which the paper is silent come from its author's code and logs. One seed draws one episode, in a fixed order,
+Values that the paper does not state come from its author's code and logs. One seed draws one episode, in a fixed order,
 so a seed means the same world in training, in a test and through the deployed service.
 """
 
@@ -31,7 +31,7 @@ CAMERA_FRAMES = 64
 class _Distributions:
     """Differences between conditions; the plant's values apply when a task does not randomise it.
 
-    `sensor_delay`: ticks; None draws it. `bias_scale`: factor on the sensor's bias.
+    `sensor_delay`: ticks; None: it is drawn. `bias_scale`: factor on the sensor's bias.
     """
 
     hole_half_range_m: tuple[float, float, float] = (0.050, 0.035, 0.030)

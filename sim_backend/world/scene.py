@@ -16,7 +16,7 @@ from sim_backend.world.parts import HOLE_DEPTH_M, PARTS, PEG_HEIGHT_M, Part, hol
 from wire.records import TICK_S
 
 GRIPPER_LENGTH_M = 0.150
-"""Length from flange to fingertips of a Robotiq 2F-85, closed on the peg."""
+"""Distance from flange to fingertips of a Robotiq 2F-85 that is closed on the peg."""
 PROTRUSION_M = 0.040
 """Distance from the fingertips to the peg's bottom."""
 TCP_OFFSET_M = GRIPPER_LENGTH_M + PROTRUSION_M
@@ -57,7 +57,7 @@ class Scene:
         model: model compiled for `part`; clearance, hole pose and plant vary per simulation without a rebuild.
         part: the peg and its hole.
         wall_geoms: (k,) geom ids of the hole's walls, in the order of `wall_centres`.
-        floor_geom: the hole's floor.
+        floor_geom: geom id of the hole's floor.
         peg_geom: collision geom of the peg.
         peg_body: body of the peg; its position contains the grasp offset.
         gripper_body: body that carries the sensor.
@@ -159,7 +159,7 @@ def _add_block(spec: mujoco.MjSpec, part: Part, clearance_m: float) -> None:
 
 
 def _add_arm(spec: mujoco.MjSpec) -> "mujoco.MjsBody":
-    """Add six links in their Denavit–Hartenberg frames; return the last link, whose frame is the flange's."""
+    """Add six links in their Denavit–Hartenberg frames; return the gripper's body, whose frame is the flange's."""
     parent = spec.worldbody.add_body(name="base")
     step_pos, step_quat = np.zeros(3), np.array([1.0, 0, 0, 0])
     for i, joint in enumerate(UR3E):

@@ -53,9 +53,9 @@ class ForceTorqueSensor:
         """Compensate another payload and report at another TCP from the next reading on; the zero stays.
 
         Args:
-            payload_kg: as in the constructor, like the next two.
-            payload_com_m: (3,)
-            tcp_offset_m: (3,)
+            payload_kg: mass that the controller compensates.
+            payload_com_m: (3,) centre of that mass, in the flange's frame.
+            tcp_offset_m: (3,) TCP in the flange's frame.
             rotation: (n, 3, 3) present orientation of the flange; the next zero uses the readings before this call.
         """
         self._average += self._gravity(rotation)
@@ -78,7 +78,7 @@ class ForceTorqueSensor:
         self.saturated[cell] = False
 
     def read(self, carried: FloatArray, rotation: FloatArray) -> None:
-        """Take one reading: sets `raw`, `wrench`, `saturated`.
+        """Take one reading and set `raw`, `wrench` and `saturated`.
 
         Args:
             carried: (n, 6) true load on the flange, flange axes, from environment and gravity.

@@ -39,13 +39,13 @@ class World:
 
     Args:
         n: number of cells.
-        part: peg and hole of all of them; clearance, pose and plant differ from cell to cell.
+        part: peg and hole of all cells; clearance, pose and plant differ from cell to cell.
         threads: number of threads that step the physics; 0 for one per core.
 
     Attributes:
         joints: (n, 6) measured joint angles, rad.
         position: (n, 3) measured TCP, base frame; MuJoCo gives that of the previous tick.
-        rotation: (n, 3, 3) measured orientation of the TCP; likewise.
+        rotation: (n, 3, 3) measured orientation of the TCP, of the previous tick too.
         sensor: force/torque sensor; `sensor.wrench` (n, 6) is the compensated reading.
         estimate: (n, 3) the camera's estimate of the hole's mouth.
         arm: the arm controllers.
@@ -216,7 +216,7 @@ class World:
         return self._batch.get_model(cell)
 
     def data(self, cell: int = 0) -> mujoco.MjData:
-        """Return one cell as MuJoCo data, for rendering and inspection; it fits `model(cell)`."""
+        """Return one cell's MuJoCo data, for rendering and inspection. Its model is `model(cell)`."""
         return self._batch.get_data(cell)
 
     @property

@@ -50,7 +50,7 @@ async def test_start_and_stop_by_the_page(page: Page, cell: WireCell) -> None:
     assert cell.runs[0].idempotency_key
     await page.click("#stop")
     await shows(page, "LATCHED")
-    await page.wait_for_selector("#answer:has-text('measured standing')")
+    await page.wait_for_selector("#answer:has-text('Stopped: standstill is measured')")
     assert len(cell.stops) == 1
 
 

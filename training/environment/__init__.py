@@ -1,1 +1,1 @@
-"""The environment: insertions in the simulated world, any number at once, and the Gymnasium interface to them."""
+"""The environment: a batch of insertions in the simulated world, and its Gymnasium interface."""

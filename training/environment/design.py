@@ -1,4 +1,4 @@
-"""What a policy sees, does and is limited by: contracts to train against, before there is anything to measure."""
+"""Contracts to train against: observation, action, lock and limits of a policy that has no measured results yet."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -15,10 +15,11 @@ LAW = ComplianceLaw(
     damping=(380.0, 380.0, 650.0, 1.0, 1.0, 0.5),
     inertia=(2.5, 2.5, 2.5, 0.06, 0.06, 0.03),
 )
-"""Soft in rotation about the tip, so that a corner that drops in turns the peg; damped as 8 ms of delay allow."""
+"""Default compliance law. It is soft in rotation about the tip, so that a corner that drops in turns the peg. It is
+damped as far as 8 ms of delay allow."""
 
 LOCK = DslParameters(mode="paper", seek_step_m=3e-3)
-"""The paper's lock. Its increment presses with stiffness times increment, 9 N, where contact counts from 5 N."""
+"""Default lock: the paper's. One increment presses with stiffness times increment, 9 N; contact counts from 5 N."""
 
 MAX_STEPS = 110
 
@@ -58,21 +59,22 @@ def contract_for(
     law: ComplianceLaw = LAW,
     hidden_size: int = 0,
 ) -> PolicyContract:
-    """Contract of a policy to be.
+    """Return the contract of a policy that is to be trained.
 
     Args:
-        mode: VFTM sees the hole's estimate and the contact, FTM the nominal centre and the contact, VM the estimate
-            and nothing of the contact.
-        lock: how the depth is limited; None: `paper`, and `off` in mode VM, which has no other.
-        part: peg and hole, or several.
-        clearance_m: least and largest clearance per face that it is meant for.
-        max_steps: of an episode.
-        name: of the policy; None: made of the rest.
-        law: the compliance law around the target.
-        hidden_size: of a recurrent policy's state. Such a one sees a single frame, another one the last few.
+        mode: observed quantities. VFTM: the hole's estimate and the contact. FTM: the nominal centre and the contact.
+            VM: the hole's estimate only.
+        lock: mode of the depth lock; None: `paper`, or `off` in mode VM, which allows no other.
+        part: peg and hole, or several of them.
+        clearance_m: least and largest clearance per face that the policy is meant for, m.
+        max_steps: length of an episode, steps.
+        name: name of the policy; None: composed of parts, mode and lock.
+        law: compliance law around the target.
+        hidden_size: size of a recurrent policy's state; 0: not recurrent. A recurrent policy observes a single frame,
+            any other policy the last few.
 
     Raises:
-        ValueError: these do not go together; the text names the field.
+        ValueError: the arguments contradict each other; the text names the field.
     """
     lock = lock or ("off" if mode == "VM" else "paper")
     parts = (part,) if isinstance(part, str) else tuple(part)
@@ -103,16 +105,16 @@ def adjusted(
     limits: Mapping[str, float] | None = None,
     wrench_window_ticks: int | None = None,
 ) -> PolicyContract:
-    """Change what is not None of a contract.
+    """Return a contract with every argument that is not None changed.
 
     Args:
-        contract: to change.
-        press_m: how far below the lock a command may go.
-        limits: displacement at ±1 by action component, m and rad; for components that the contract lacks: nothing.
-        wrench_window_ticks: newest samples of a step that are averaged.
+        contract: contract to change.
+        press_m: largest distance that a command may go below the lock, m.
+        limits: displacement at ±1 by action component, m and rad. A component that the contract lacks is ignored.
+        wrench_window_ticks: number of newest samples of a step that are averaged.
 
     Raises:
-        ValueError: the result does not fit together.
+        ValueError: the result contradicts itself.
     """
     limits = limits or {}
     document = contract.model_dump()
@@ -126,11 +128,17 @@ def adjusted(
 
 
 def check_conditions(mode: ObservationMode, conditions: Conditions) -> None:
-    """Raise ValueError for conditions that put the hole beyond what a policy of this mode can know of it."""
+    """Refuse conditions in which a policy of this mode cannot find the hole.
+
+    Raises:
+        ValueError: the hole lies too far from the nominal centre, and the mode observes nothing else of it.
+    """
     if mode == "FTM" and conditions in ("standard", "stiff", "transfer"):
-        raise ValueError(f"conditions {conditions!r} put the hole too far from the nominal centre, all that FTM knows")
+        raise ValueError(
+            f"conditions {conditions!r} put the hole too far from the nominal centre, and FTM observes only that centre"
+        )
 
 
 def vftm_dsl(name: str = "tr-vftm-dsl") -> PolicyContract:
-    """The triangle's policy: hole estimate, force and torque, the paper's lock."""
+    """Return the contract of the triangle's policy: hole estimate, force and torque, the paper's lock."""
     return contract_for("VFTM", "paper", "tr", name=name)

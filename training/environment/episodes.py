@@ -1,4 +1,4 @@
-"""Tasks of episodes, drawn without end for training."""
+"""Tasks for training: an endless draw, on seeds that no evaluation uses."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import numpy as np
 from wire.task import Conditions, Part, Task
 
 FIRST_TRAINING_SEED = 2**32
-"""First seed of the training. Every evaluation uses seeds below, so no seed is in both."""
+"""Smallest seed of a training. Every evaluation uses smaller seeds, so no seed is in both."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,9 +16,9 @@ class TaskSource:
 
     Attributes:
         part: peg and hole.
-        clearance_m: range of clearances per face; tight ones are likelier (a uniform draw to the power 1.5).
-        conditions: distributions of an episode.
-        randomise_plant: friction, stiffness, delay, mass and contact vary.
+        clearance_m: range of clearances per face; the tight end is likelier (a uniform draw to the power 1.5).
+        conditions: name of the conditions of an episode.
+        randomise_plant: True: friction, stiffness, delay, mass and contact vary.
     """
 
     part: Part = "tr"

@@ -1,7 +1,7 @@
-"""n peg insertions at once, as the deployed cell runs them: the same world, observation, action, lock and bounds.
+"""A batch of n peg insertions that run as in the deployed cell: same world, observation, action, lock and bounds.
 
-This is the environment without any framework. `peg_in_hole` gives it Gymnasium's shape, `vector` plays it without end
-to learn from, and `training.evaluation.evaluate` plays whole episodes on it.
+This module depends on no framework. `peg_in_hole` wraps it for Gymnasium, `vector` plays endless episodes on it for
+training, and `training.evaluation.evaluate` plays whole episodes on it.
 """
 
 from collections.abc import Sequence
@@ -27,18 +27,19 @@ from wire.records import Program
 from wire.task import Part, Task
 
 SUCCESS_DEPTH_M = 2.5e-3
-"""The paper's: the peg's bottom this far below the hole's mouth."""
+"""Depth of the peg's bottom below the hole's mouth that counts as success, m: the paper's criterion."""
 GOAL_DEPTH_M = 4.0e-3
-"""Depth that ends an episode: beyond the deployed cell's criterion, so that a policy has been where that takes it."""
+"""Depth that ends an episode, m. It exceeds the deployed cell's criterion, so that training covers that depth."""
 PRIVILEGED_SIZE = 10
 AIM = slice(2, 6)
-"""Where `Insertions.privileged` says how the peg must move to be right above the hole."""
+"""Columns of `Insertions.privileged` that tell how the peg must move to be right above the hole."""
 SLIP_STEPS = (0, 75)
-"""Policy steps between which a hole slips, where holes do; before the first contact it is the camera that errs more."""
+"""Range of policy steps in which a hole slips, if slips are enabled. A slip before the first contact acts like a larger
+error of the camera."""
 SLIP_SIGMA_M = 1.5e-3
 SLIP_YAW_RAD = float(np.deg2rad(60))
 SLIP_DEPTH_M = 1e-4
-"""A hole slips only while the peg is less deep in it."""
+"""A hole slips only while the peg is in it by less than this, m."""
 LIMITS = ControlLimits(WORKSPACE_M, FORCE_CEILING_N)
 
 
@@ -48,16 +49,16 @@ class Outcome:
 
     Attributes:
         observation: (n, size) float32, raw units, after the step.
-        reward: of this step.
-        terminated: inserted, or stopped by a fault.
-        truncated: the time is up.
-        success: the peg is in: `SUCCESS_DEPTH_M` below the mouth with its axis inside the hole, at the end of the step.
-        fault: a ceiling of force or torque, the limit of the tilt, or the arm's controller stopped it.
-        peak_force: largest resultant of the episode so far over every sample, N.
-        depth: m.
-        z_lock: m, NaN without a lock.
-        phase: of the lock.
-        clamped: a command bound acted.
+        reward: reward of this step.
+        terminated: the episode ended by insertion or by a fault.
+        truncated: the episode reached its last step.
+        success: the episode ended with the peg `SUCCESS_DEPTH_M` below the mouth and its axis inside the hole.
+        fault: a ceiling of force or torque, the limit of the tilt, or the arm's controller stopped the episode.
+        peak_force: largest resultant of the episode so far, over every sample, N.
+        depth: depth of the peg's bottom below the mouth, m; negative above it.
+        z_lock: height of the lock, m; NaN without a lock.
+        phase: `Phase` of the lock.
+        clamped: a command bound changed the command.
     """
 
     observation: npt.NDArray[np.float32]
@@ -77,16 +78,16 @@ class Insertions:
     """n cells under one contract.
 
     Args:
-        contract: what the policy sees, does and is limited by.
-        n: how many cells.
-        part: peg and hole of all of them.
-        threads: that step the physics.
-        force_ceiling_n: resultant at which the cell stops, N.
-        reward_name: which reward.
-        force_cost_per_n: in the reward `potential`, of the episode's peak above `reward.FORCE_FREE_N`.
+        contract: observation, action and lock of the policy.
+        n: number of cells.
+        part: peg and hole of all cells.
+        threads: number of threads that step the physics.
+        force_ceiling_n: resultant force at which the cell stops, N.
+        reward_name: name of the reward.
+        force_cost_per_n: cost in the reward `potential`, per N of the episode's peak above `reward.FORCE_FREE_N`.
         slips: share of the episodes in which the hole slips once to another place and yaw; for training.
-        misreads: share of the episodes in which the policy reads the torque about z times a factor within ±1: by what
-            it has learned of one peg's torques another peg misleads it; for training.
+        misreads: share of the episodes in which the observed torque about z is multiplied by a factor within ±1; for
+            training. It keeps a policy from relying on the torques of one peg, which mislead it with another peg.
     """
 
     def __init__(
@@ -145,12 +146,13 @@ class Insertions:
         return self._state.target_yaw
 
     def reset(self, cells: CellIndices, tasks: Sequence[Task]) -> npt.NDArray[np.float32]:
-        """Begin new episodes in `cells` (k,): the scripted approach has ended above where the hole is thought to be.
+        """Begin new episodes in `cells` (k,), at the end of the scripted approach.
 
-        That is the camera's estimate, in mode FTM the nominal centre. The sensor is zeroed, the arm engaged.
+        The peg hovers above the camera's estimate of the hole, in mode FTM above the nominal centre. The sensor is
+        zeroed and the arm engaged.
 
         Returns:
-            (n, size) observations; rows of other cells are as they were.
+            (n, size) observations; rows of other cells are unchanged.
         """
         world = self.world
         world.reset(cells, tasks)
@@ -162,7 +164,7 @@ class Insertions:
         world.engage(cells, *self._law, self._limits)
         mask = np.zeros(self.n, np.bool_)
         mask[cells] = True
-        self._window[:, cells] = 0.0  # a cell has felt noise by then; nothing here can feel while other cells stand
+        self._window[:, cells] = 0.0  # a deployed cell has noise here; this world cannot sample some cells alone
         self._state = self._state.reset(mask, world.position, np.asarray(pose.yaw_of(world.rotation)))
         self.steps[cells] = 0
         self.peak_force[cells] = 0.0
@@ -171,7 +173,7 @@ class Insertions:
         return self.observation
 
     def step(self, action: npt.ArrayLike) -> Outcome:
-        """One policy step of every cell, also of those that have ended; `action` (n, action size) in [-1, 1]."""
+        """Run one policy step of every cell, ended episodes included; `action` (n, action size) in [-1, 1]."""
         world, contract = self.world, self.contract
         self._slip_holes()
         self._state, decision = self._policy_step.act(self._state, self._seen, np.asarray(action, np.float64))
@@ -217,7 +219,10 @@ class Insertions:
         )
 
     def privileged(self) -> npt.NDArray[np.float32]:
-        """(n, PRIVILEGED_SIZE) what only the simulation knows, each about -1 … 1: for a critic, never for a policy."""
+        """Return (n, PRIVILEGED_SIZE) quantities that only the simulation knows, each about -1 … 1.
+
+        They are for a critic, never for a policy.
+        """
         world = self.world
         yaw_error = self._yaw_error()
         order = max(self.world.symmetry_order, 1)
@@ -236,7 +241,7 @@ class Insertions:
         ).astype(np.float32)
 
     def _mislead(self, cells: CellIndices, tasks: Sequence[Task]) -> None:
-        """Draw by their seeds what only training does to episodes."""
+        """Draw slips and misreadings, which only training uses, from the episodes' seeds."""
         if not (self._slips or self._misreads):
             return
         for cell, task in zip(cells, tasks, strict=True):
@@ -246,7 +251,7 @@ class Insertions:
             self._torque_read[cell] = rng.uniform(-1.0, 1.0) if rng.uniform() < self._misreads else 1.0
 
     def _slip_holes(self) -> None:
-        """Move the holes that are due; that they were nearer or farther before earns nothing."""
+        """Move the holes whose slip is due. The jump in distance earns no reward."""
         due = np.flatnonzero((self._slip_at >= 0) & (self.steps >= self._slip_at) & (self.world.depth < SLIP_DEPTH_M))
         if not due.size:
             return
@@ -257,13 +262,13 @@ class Insertions:
         self._shape_anew(due)
 
     def _shape_anew(self, cells: CellIndices) -> None:
-        """Let the reward of `cells` count from where they are now."""
+        """Restart the potential of `cells` at their present state."""
         nobody = np.zeros(self.n, np.bool_)
         now = reward.potential(self._situation(nobody, nobody), GOAL_DEPTH_M, self._force_cost_per_n)
         self._potential[cells] = now[cells]
 
     def _yaw_error(self) -> FloatArray:
-        """(n,) from the nearest matching yaw, rad; zero for a round peg."""
+        """Return the (n,) angle from the nearest matching yaw, rad; zero for a round peg."""
         order = self.world.symmetry_order
         if order == 0:
             return np.zeros(self.n)
@@ -276,7 +281,7 @@ class Insertions:
     def _observe(self, mask: BoolArray | None = None) -> Float32Array:
         self._seen = self._see()
         read = self._seen
-        if self._misreads:  # the policy reads it wrongly, the lock does not
+        if self._misreads:  # only the policy misreads the torque, the lock does not
             window = read.wrench_window.copy()
             window[..., 5] *= self._torque_read
             read = replace(read, wrench_window=window)
@@ -299,7 +304,7 @@ class Insertions:
 
 
 def info_of(outcome: Outcome) -> dict[str, Any]:
-    """What users of the environment look at after each step; `z_lock` is -inf where nothing limits the depth."""
+    """Return the `info` of a step. `z_lock` is -inf where nothing limits the depth."""
     return {
         "is_success": outcome.success,
         "fault": outcome.fault,

@@ -1,6 +1,7 @@
 """Gymnasium environments of the insertion: `PegInHoleEnv` for one cell, `PegInHoleVectorEnv` for many.
 
-Both are thin: `training.environment.insertion.Insertions` does the work. `docs/reference/environment.md` explains them.
+Both are thin wrappers: `training.environment.insertion.Insertions` does all the work. `docs/reference/environment.md`
+is the user's page.
 """
 
 from collections.abc import Sequence
@@ -33,24 +34,24 @@ OPTIONS = ("clearance_m", "world_seed")
 PICTURE_SIZE = (480, 360)
 """Width and height of a rendered frame, pixels."""
 _LARGEST = {"m": 2.0, "rad": 6.3, "m,rad": 6.3, "N": 200.0, "N·m": 100.0, "1": 4.0}
-"""Bounds of the observation space by unit, beyond the reach of the arm, its joints and its sensor."""
+"""Bounds of an observation by unit of the entry, beyond the arm's reach, its joints' range and its sensor's range."""
 
 
 class Settings(TypedDict, total=False):
     """Keyword arguments of both environments.
 
     Attributes:
-        mode: observation mode. VFTM (default): the hole's estimate and the contact; FTM: the nominal centre and the
+        mode: observed quantities. VFTM (default): the hole's estimate and the contact; FTM: the nominal centre and the
             contact; VM: the estimate alone.
-        lock: `paper` (default), `sliding` or `off`, the only one that VM has.
+        lock: `paper` (default), `sliding` or `off`. Mode VM allows only `off`, which is its default.
         part: peg and hole; default `tr`.
         clearance_m: clearance per face, m; one value (default 2 mm) or a range to draw from.
         reward: `potential` (default) or `paper`.
-        conditions: distributions of an episode; default `standard`. FTM needs `search` or `easy`.
-        randomise_plant: friction, stiffness, delay and mass vary too; default False.
-        force_ceiling_n: resultant at which an episode ends in a fault, N; default 30.
+        conditions: name of the conditions of an episode; default `standard`. FTM needs `search` or `easy`.
+        randomise_plant: True: friction, stiffness, delay and mass vary too; default False.
+        force_ceiling_n: resultant force at which an episode ends in a fault, N; default 30.
         threads: number of threads that step the physics; default 1, 0 for one per core.
-        max_episode_steps: largest number of steps of an episode; default 110.
+        max_episode_steps: length of an episode, steps; default 110.
     """
 
     mode: ObservationMode
@@ -66,11 +67,11 @@ class Settings(TypedDict, total=False):
 
 
 class PegInHoleVectorEnv(gym.vector.VectorEnv[Observation, npt.NDArray[Any], npt.NDArray[Any]]):
-    """Many cells stepped together in one batch.
+    """Many cells in one natively vectorised environment.
 
-    A cell that ends an episode begins the next one within the same step: the observation returned is the new
-    episode's first, and `info["final_obs"]`, `info["final_info"]` hold the last of the old one. Cell i with seed s
-    plays what the single environment with seed s + i plays.
+    A cell that ends an episode begins the next one within the same step. The returned observation is then the new
+    episode's first; `info["final_obs"]` and `info["final_info"]` hold the last of the old episode. Cell i with seed s
+    plays the episodes of the single environment with seed s + i.
 
     Args:
         num_envs: number of cells.
@@ -78,7 +79,7 @@ class PegInHoleVectorEnv(gym.vector.VectorEnv[Observation, npt.NDArray[Any], npt
         settings: see `Settings`.
 
     Raises:
-        ValueError: the settings do not go together.
+        ValueError: the settings contradict each other.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # Gymnasium's own declaration of it
@@ -109,12 +110,12 @@ class PegInHoleVectorEnv(gym.vector.VectorEnv[Observation, npt.NDArray[Any], npt
         """Begin an episode in every cell.
 
         Args:
-            seed: seed of cell 0, from which the others count up; or one seed for each cell.
+            seed: seed of cell 0, from which the other cells count up; or a list with one seed for each cell.
             options: settings of these episodes only: `clearance_m`, and `world_seed`, which fixes the world of cell 0
-                and from which the others count up.
+                and counts up for the other cells.
 
         Returns:
-            (n, size) observations, and `world_seed` and `clearance_m` (n,) of the episodes.
+            (n, size) observations, and an info with `world_seed` and `clearance_m` (n,) of the episodes.
 
         Raises:
             ValueError: an unknown option, or a value that no world can be built from.
@@ -143,7 +144,7 @@ class PegInHoleVectorEnv(gym.vector.VectorEnv[Observation, npt.NDArray[Any], npt
     def step(
         self, actions: npt.NDArray[Any]
     ) -> tuple[Observation, npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
-        """Take one policy step in every cell.
+        """Run one policy step of every cell.
 
         Args:
             actions: (n, k) in [-1, 1].
@@ -152,8 +153,8 @@ class PegInHoleVectorEnv(gym.vector.VectorEnv[Observation, npt.NDArray[Any], npt
             Observations (n, size), rewards, terminations, truncations (n,), and infos, each key with a mask `_key`.
 
         Raises:
-            ValueError: the action has another shape or is not finite.
-            gymnasium.error.ResetNeeded: the call comes before the first reset.
+            ValueError: an action of another shape, or one that is not finite.
+            gymnasium.error.ResetNeeded: `reset` was not called yet.
         """
         if not self._generators:
             raise gym.error.ResetNeeded("call reset before the first step")
@@ -202,7 +203,7 @@ class PegInHoleEnv(gym.Env[Observation, npt.NDArray[Any]]):
         settings: see `Settings`.
 
     Raises:
-        ValueError: the settings do not go together.
+        ValueError: the settings contradict each other.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012  # as above
@@ -230,7 +231,7 @@ class PegInHoleEnv(gym.Env[Observation, npt.NDArray[Any]]):
             options: settings of this episode only: `clearance_m`, m, and `world_seed`, which fixes its world.
 
         Returns:
-            (size,) observation, and the episode's `world_seed` and `clearance_m`.
+            (size,) observation, and an info with the episode's `world_seed` and `clearance_m`.
 
         Raises:
             ValueError: an unknown option, or a value that no world can be built from.
@@ -242,11 +243,11 @@ class PegInHoleEnv(gym.Env[Observation, npt.NDArray[Any]]):
         return observation[0].copy(), {"world_seed": task.seed, "clearance_m": task.clearance_m}
 
     def step(self, action: npt.NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Take one policy step; `action` (k,) in [-1, 1].
+        """Run one policy step; `action` (k,) in [-1, 1].
 
         Raises:
-            ValueError: the action has another shape or is not finite.
-            gymnasium.error.ResetNeeded: the call comes before the first reset or after the episode's end.
+            ValueError: an action of another shape, or one that is not finite.
+            gymnasium.error.ResetNeeded: no episode is under way: before the first reset or after an episode's end.
         """
         if not self._under_way:
             raise gym.error.ResetNeeded("no episode is under way: call reset first")
@@ -270,7 +271,7 @@ class PegInHoleEnv(gym.Env[Observation, npt.NDArray[Any]]):
 
 
 class _Cells:
-    """The part that both environments share: insertions, spaces, draw of episodes and pictures."""
+    """Common part of both environments: the insertions, their spaces, the draw of episodes and the pictures."""
 
     def __init__(self, n: int, render_mode: str | None, settings: Settings) -> None:
         if render_mode not in (None, "rgb_array"):
@@ -312,7 +313,7 @@ class _Cells:
         return declared | {"render_fps": round(1.0 / self.insertions.contract.period_s)}
 
     def draw(self, rng: np.random.Generator, options: dict[str, Any] | None, cell: int) -> Task:
-        """Draw an episode with the values that `options` fix."""
+        """Draw an episode; `options` override the drawn values."""
         task = self._source.draw(rng, 1)[0]
         options = options or {}
         unknown = set(options) - set(OPTIONS)
@@ -326,7 +327,7 @@ class _Cells:
         return task
 
     def step(self, action: npt.NDArray[Any]) -> Outcome:
-        """Check the action and step all cells."""
+        """Check the action and step every cell."""
         want = (self.insertions.n, self.insertions.action_size)
         if action.shape != want or not np.isfinite(action).all():
             raise ValueError(f"want finite actions of shape {want}, got shape {action.shape}: {action}")
@@ -334,7 +335,7 @@ class _Cells:
 
     def draw_picture(self, cell: int) -> Picture:
         """Draw one cell."""
-        from sim_backend.world.rendering import Renderer  # OpenGL is loaded only to draw
+        from sim_backend.world.rendering import Renderer  # only rendering needs OpenGL
 
         world = self.insertions.world
         clearance = float(world.clearance[cell])

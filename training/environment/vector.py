@@ -12,7 +12,7 @@ from training.environment.insertion import PRIVILEGED_SIZE, Insertions
 from wire.arrays import Float32Array
 
 WorkerJob = Callable[[], Any]
-"""Work beside the training; the callable and its result must be picklable."""
+"""Work to do beside the training. The job and its result must be picklable."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,9 +20,9 @@ class Ended:
     """Episodes that ended in one step or in several; arrays (k,).
 
     Attributes:
-        success: the peg was in.
-        fault: the force ceiling or the arm's controller ended it.
-        steps: number of steps.
+        success: the peg was inserted.
+        fault: the force ceiling or the arm's controller ended the episode.
+        steps: number of steps taken.
         peak_force: largest resultant over every sample, N.
         episode_return: sum of the rewards.
     """
@@ -39,7 +39,7 @@ class Ended:
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__))
 
     def latest(self, count: int) -> "Ended":
-        """Return the last `count` of them."""
+        """Return the last `count` episodes."""
         return Ended(*(getattr(self, name)[-count:] for name in self.__slots__))
 
     def __len__(self) -> int:
@@ -51,10 +51,10 @@ class Step:
     """One step of every cell; arrays (n, …).
 
     Attributes:
-        features: (n, size) float32, the observation in raw units, then `PRIVILEGED_SIZE` numbers for the critic. Where
-            an episode ended, they are those of the next one's beginning.
-        reward: float32.
-        done: an episode ended, by success, fault or time.
+        features: (n, size) float32: the policy's observation in raw units, then `PRIVILEGED_SIZE` numbers for the
+            critic. Where an episode has ended, they are those of the next episode's beginning.
+        reward: (n,) float32.
+        done: (n,) True where an episode ended, by success, fault or time.
         ended: the episodes that ended.
     """
 
@@ -69,9 +69,9 @@ class EndlessCells(Protocol):
 
     Attributes:
         n: number of cells.
-        feature_size: number of features per cell.
-        action_size: size of the action per cell.
-        workers: number of processes that the cells are spread over.
+        feature_size: number of features of each cell.
+        action_size: number of action components of each cell.
+        workers: number of processes that the cells are spread over, this one included.
     """
 
     n: int
@@ -80,19 +80,19 @@ class EndlessCells(Protocol):
     workers: int
 
     def reset(self) -> Float32Array:
-        """Begin an episode in every cell and return the features (n, feature_size)."""
+        """Begin an episode in every cell; return the features (n, feature_size)."""
         ...
 
     def step(self, action: npt.NDArray[Any]) -> Step:
-        """Take one policy step in every cell; `action` (n, action_size) in [-1, 1]."""
+        """Run one policy step of every cell; `action` (n, action_size) in [-1, 1]."""
         ...
 
     def run(self, jobs: Sequence[WorkerJob]) -> list[Any]:
-        """Run `jobs` in the cells' processes while the cells stand still; return the results in order."""
+        """Run `jobs` in the processes of the cells, which stand still meanwhile; return the results in order."""
         ...
 
     def close(self) -> None:
-        """End the cells' processes; may be called again."""
+        """End the processes of the cells; may be called again."""
         ...
 
 
@@ -141,7 +141,7 @@ class EndlessInsertions:
         return [job() for job in jobs]
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: there is no process to end."""
 
     def _features(self) -> Float32Array:
         return np.concatenate([self._cells.observation, self._cells.privileged()], axis=1)
