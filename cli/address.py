@@ -1,4 +1,4 @@
-"""Where the running API is."""
+"""Address of the running API."""
 
 from typing import Annotated
 from urllib.parse import urlsplit

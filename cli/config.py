@@ -29,7 +29,7 @@ _OWN_NAME = re.compile(r" --config config/[\w-]+\.toml")
 
 
 class Kind(StrEnum):
-    """What a new cell begins as."""
+    """Kind of a new cell."""
 
     SIMULATED = "simulated"
     UR_EMULATED = "ur-emulated"

@@ -7,10 +7,10 @@ import typer
 
 
 class Exit(IntEnum):
-    """What a status other than 0 says; `docs/command.md` lists them for people."""
+    """Exit statuses other than 0; `docs/reference/command.md` lists them for people."""
 
     FAILED = 1
-    """Carried out, and the outcome is not the wanted one: the peg is not in, a check did not pass."""
+    """Carried out, but without the wanted outcome: the peg is not in, or a check did not pass."""
     USAGE = 2
     """A wrong option, or a configuration or a file that cannot be used."""
     HOST = 3

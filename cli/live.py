@@ -1,4 +1,4 @@
-"""What a terminal shows of a cell while it changes, and what it says of a run that has ended."""
+"""Terminal output: the cell while it changes, and the outcome of a run."""
 
 import contextlib
 import json

@@ -20,7 +20,7 @@ from service.program import PROGRAM
 
 POLL_S = 0.1
 SILENCE_S = 3.0
-"""How long a run is followed while the control process is silent."""
+"""Longest silence of the control process while a run is followed, s."""
 Seed = Annotated[int | None, typer.Option(min=0, help="Seed of the simulated world; drawn if left out.")]
 
 

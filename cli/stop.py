@@ -22,17 +22,17 @@ from cli.address import DEFAULT_URL, Url, is_address
 from cli.exits import Exit, fail
 
 API_S = 4.0
-"""How long the API's answer is waited for: it takes up to 1 s for the delivery and 1 s for the standstill."""
+"""Longest wait for the API's answer, s: it takes up to 1 s for the delivery and 1 s for the standstill."""
 DIRECT_AFTER_S = 1.0
 """Silence of the API after which the control process is asked as well."""
 DELIVERY_S = 3.0
 ALL_S = 6.0
-"""How long both ways may take together, from the moment at which the second one is tried."""
+"""Longest time for both ways together, from the moment at which the second one is tried, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What one way to the cell came to.
+    """Result of one way to the cell.
 
     Attributes:
         delivered: the control process has the stop.

@@ -36,7 +36,7 @@ def watch(url: Url = DEFAULT_URL) -> None:
 
 
 class Told:
-    """What the stream of events said last.
+    """The newest content of the stream of events.
 
     Args:
         view: takes in each status.

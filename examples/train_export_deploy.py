@@ -18,7 +18,7 @@ from service.testing import RECIPE, cell_config, lockstep_cell
 from training.learning.experiment import Experiment
 from training.learning.export import export
 from training.learning.learn import learn
-from training.learning.run import Run
+from training.learning.run import TrainingRun
 
 CLEARANCE_M = 3e-3
 
@@ -73,7 +73,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         print(f"train   {asked.algorithm.steps} steps of {asked.algorithm.cells} simulated cells")
-        network = learn(Run(asked, seed=0, directory=folder / "training"))
+        network = learn(TrainingRun(asked, seed=0, directory=folder / "training"))
         policy = export(network, asked.contract(), folder / "example.onnx")
         print(f"export  {policy.source}: {policy.contract.name}, SHA-256 {policy.sha256[:12]}…")
         asyncio.run(deploy(folder / "example.onnx", folder))

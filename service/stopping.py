@@ -6,9 +6,9 @@ from service.client import CellClient, CellSilentError
 from service.messages import CellState, Status, StopRequest
 
 DELIVERY_S = 1.0
-"""How long a stop is sent again to a control process that does not answer."""
+"""Time during which a stop is repeated to a control process that does not answer, s."""
 CONFIRMATION_S = 1.0
-"""How long the arm is given to be measured standing."""
+"""Longest wait for a measured standstill, s."""
 SAMPLE_AGE_S = 0.2
 POLL_S = 0.02
 

@@ -134,9 +134,9 @@ def test_an_observation_is_made_of_what_a_cell_measures_and_of_nothing_else(mode
     cells.reset(np.arange(2), [Task(seed, conditions="search") for seed in (5, 6)])
     for action in random_actions(14, (2, cells.action_size)):
         cells.step(action)
-    world, whole = cells.world, cells._measure()
+    world, whole = cells.world, cells._see()
     cells.world = Measured(world)  # type: ignore[assignment]
-    bare = cells._measure()
+    bare = cells._see()
     for field in fields(Measurement):
         assert np.array_equal(getattr(whole, field.name), getattr(bare, field.name), equal_nan=True)
     with pytest.raises(AssertionError, match="is not measured"):
