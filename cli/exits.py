@@ -20,7 +20,7 @@ class Exit(IntEnum):
     REFUSED = 5
     """The cell answered, and refused."""
     UNCONFIRMED = 6
-    """A stop was delivered, and the arm is not measured standing yet."""
+    """A stop was delivered, but standstill is not measured yet."""
     INTERRUPTED = 130
     """Ctrl-C."""
 

@@ -36,7 +36,7 @@ class Answer:
 
     Attributes:
         delivered: the control process has the stop.
-        confirmed: the arm was measured standing after it.
+        confirmed: standstill was measured after it.
         text: for people.
     """
 
@@ -54,8 +54,8 @@ def stop(
 ) -> None:
     """Stop whatever moves, now.
 
-    Without an answer from the API the stop goes straight to the control process of the configured cell. Status 0: the
-    arm was measured standing. 6: delivered, not measured standing yet. 4: delivered to nobody.
+    Without an answer from the API the stop goes straight to the control process of the configured cell. Status 0:
+    standstill was measured. 6: delivered, standstill is not measured yet. 4: delivered to nobody.
 
     This is process protection. It is not the robot's emergency stop and replaces none of its certified safety
     functions.
@@ -138,5 +138,5 @@ async def _directly(cell_id: str, endpoint: str) -> Answer:
         request = StopRequest(reason="stop past the API", requested_by="cli")
         status = await confirm(client, await deliver(client, request, DELIVERY_S))
         standing = is_standing(status)
-        said = "measured standing" if standing else "delivered, but the arm is not measured standing yet"
+        said = "standstill is measured" if standing else "delivered, but standstill is not measured yet"
         return Answer(True, standing, f"{status.state}: {said}")

@@ -43,7 +43,7 @@ def test_every_reason_against_a_policy_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "recipe", "status", "word"),
     [
-        (CELL, "triangle-2mm", 1, "no ONNX model"),
+        (CELL, "triangle-2mm", 1, "not an ONNX model"),
         ("missing.onnx", "triangle-2mm", 1, "missing.onnx"),
         (VFTM, "cube", 2, "triangle-2mm"),
     ],

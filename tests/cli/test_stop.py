@@ -16,7 +16,7 @@ def test_a_stop_ends_when_the_arm_is_measured_standing(url: str, cell: WireCell)
     assert run("start", "--url", url).exit_code == 0
     done = run("stop", "--url", url)
     assert done.exit_code == 0, done.output
-    assert "standing" in done.stdout
+    assert "standstill is measured" in done.stdout
     assert cell.stops[0] == "stop over HTTP"
     assert cell.latch is not None
     assert cell.latch.code is FaultCode.OPERATOR_STOP
@@ -28,7 +28,7 @@ def test_a_stop_that_is_not_seen_to_end_the_motion_says_so(url: str, cell: WireC
     assert run("start", "--url", url).exit_code == 0
     done = run("stop", "--url", url)
     assert done.exit_code == 6
-    assert "not measured standing" in done.stdout
+    assert "standstill is not measured" in done.stdout
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from service.policy.model import Policy
-from service.policy.observation import Measurement
+from service.policy.step import Seen
 from service.safety.pose import wrap
 from sim_backend.world import world as world_module
 from sim_backend.world.parts import HOLE_DEPTH_M, PARTS, contained, hole_walls, wall_centres
@@ -137,7 +137,7 @@ def test_an_observation_is_made_of_what_a_cell_measures_and_of_nothing_else(mode
     world, whole = cells.world, cells._see()
     cells.world = Measured(world)  # type: ignore[assignment]
     bare = cells._see()
-    for field in fields(Measurement):
+    for field in fields(Seen):
         assert np.array_equal(getattr(whole, field.name), getattr(bare, field.name), equal_nan=True)
     with pytest.raises(AssertionError, match="is not measured"):
         cells.privileged()
