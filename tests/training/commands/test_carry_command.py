@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 
 pytest.importorskip("onnx", reason="needs the extra `training`: pip install -e '.[training]'")
 
-from training.__main__ import app
-
+from cli.__main__ import app
 from service.policy.model import Policy
 from training.evaluation import evaluate as evaluation
 from training.evaluation import provenance, through_service
