@@ -3,11 +3,15 @@
 import socket
 
 import pytest
+import structlog
 from hypothesis import settings
+
+from service.logs import PROCESSORS
 
 # How long an example takes says something about the machine, and nothing about the code.
 settings.register_profile("without_deadline", deadline=None)
 settings.load_profile("without_deadline")
+structlog.configure(processors=PROCESSORS)
 
 
 @pytest.fixture

@@ -1,13 +1,12 @@
 """The cell that a command is about: its configuration, or the end of the command."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
-import structlog
 import typer
 
 from service.config import CellConfig, ConfigError, UrSection, load
+from service.logs import configure_logs
 
 EXIT_FAILED = 1
 EXIT_CONFIG = 2
@@ -21,7 +20,7 @@ ConfigPath = Annotated[
 
 def load_cell(path: Path | None) -> CellConfig:
     """Read the configuration; one that cannot be used ends the command and says why. The log goes to standard error."""
-    structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
+    configure_logs()
     try:
         return load(path)
     except ConfigError as error:
