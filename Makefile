@@ -67,7 +67,7 @@ setup-dev: $(DEV) ## prepare .venv for everything
 constraints: ## renew the pins (PINS=constraints.txt)
 	@fresh=$$(mktemp -d); trap 'rm -rf "$$fresh"' EXIT; \
 	$(PYTHON) -m venv "$$fresh/venv"; \
-	"$$fresh/venv/bin/python" -m pip install --quiet --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'; \
+	"$$fresh/venv/bin/python" -m pip install --quiet --quiet --disable-pip-version-check --editable '.[$(EXTRAS),docs]'; \
 	{ grep '^#' constraints.txt; \
 	  "$$fresh/venv/bin/python" -m pip freeze --exclude-editable | sed -E 's/\+[A-Za-z0-9.]+$$//'; } > "$$fresh/pins"; \
 	if grep -nE ' @ |://' "$$fresh/pins"; then echo "make: these lines are no pins; nothing was written" >&2; exit 1; fi; \
@@ -81,19 +81,16 @@ run: $(RUNTIME) ## start the simulated cell and insert one peg (ONCE=1: then exi
 
 # --- checks ---------------------------------------------------------------------------------------------------------
 
-.PHONY: test test-covered test-slow coverage lint format docs-check
-test: $(DEV) ## the tests (minutes)
-	$(BIN)/python -m pytest -m 'not slow' $(ARGS)
+.PHONY: test test-covered coverage lint format docs-check
+test: $(DEV) ## the tests (some ten minutes)
+	$(BIN)/python -m pytest $(ARGS)
 
 test-covered: $(DEV) ## the same tests under coverage, then a line per package (takes half as long again)
-	$(BIN)/python -m coverage run --source "$$(tr ' ' , <<< '$(PACKAGES)')" -m pytest -m 'not slow' --timeout 300 $(ARGS)
+	$(BIN)/python -m coverage run --source "$$(tr ' ' , <<< '$(PACKAGES)')" -m pytest --timeout 300 $(ARGS)
 	@echo "branch coverage; what the tests run in other processes is not counted"
 	@total() { $(BIN)/python -m coverage report --format total --precision 1 "$$@"; }; \
 	for package in $(PACKAGES); do printf '  %-12s %5s %%\n' "$$package" "$$(total --include "$$package/*")"; done; \
 	printf '  %-12s %5s %%\n' together "$$(total)"
-
-test-slow: $(DEV) ## the tests marked slow
-	$(BIN)/python -m pytest -m slow --timeout 1800 $(ARGS)
 
 coverage: $(DEV) ## every branch of the safety core is exercised by its own tests
 	$(BIN)/python -m coverage run --source service.safety --data-file .coverage-safety -m pytest -q tests/service/safety

@@ -23,8 +23,8 @@ from wire.limits import (
     TORQUE_CEILING_NM,
     TORQUE_HARD_MAXIMUM_NM,
     YAW_HALF_RANGE_RAD,
-    LockMode,
 )
+from wire.modes import LockMode, TimeMode
 
 PATH_VARIABLE = "DSL_ASSEMBLY_CONFIG"
 DEFAULT_PATHS = (Path("cell.toml"), Path("config/cell.toml"))
@@ -218,7 +218,7 @@ class SimSection(Section):
 
     world: Name = "world-1"
     endpoint: Endpoint = "tcp/127.0.0.1:7448"
-    mode: Literal["real_time", "lockstep"] = "real_time"
+    mode: TimeMode = "real_time"
     autostart: bool = True
 
 

@@ -22,6 +22,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from service.faults import FaultCode
+from wire.modes import TimeMode
 
 SCHEMA_VERSION = 1
 HEARTBEAT_S = 0.05
@@ -258,7 +259,7 @@ class Status(Message):
     """The run under way, else the last one of this process."""
     measured: Measured | None = None
     driver: str
-    mode: Literal["real_time", "lockstep"]
+    mode: TimeMode
     recipes: tuple[str, ...]
     force_ceiling_n: float
     """Force ceiling in force: that of the last run's recipe until the next run or a new link, else the cell's."""

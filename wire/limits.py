@@ -1,7 +1,5 @@
 """Limits and defaults that the service, the simulated arm and training share: hard maxima first, then the defaults."""
 
-from typing import Literal
-
 FORCE_HARD_MAXIMUM_N = 50.0
 """Highest force ceiling that can be configured."""
 TORQUE_HARD_MAXIMUM_NM = 10.0
@@ -24,8 +22,3 @@ TARGET_AGE_S = 0.3
 """Time without a new target after which the arm's own controller stops."""
 WORKSPACE_M = ((0.15, -0.26, 0.01), (0.45, 0.04, 0.40))
 """Lower and upper corner of the box for the TCP in the simulated cell, base frame."""
-
-LockMode = Literal["paper", "sliding", "off"]
-"""Mode of the depth lock; `service.safety.dsl` describes each."""
-TimeMode = Literal["real_time", "lockstep"]
-"""Passage of time: by itself, or only as far as the client advances it."""

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.harness.cpu import cpu_s
 from benchmarks.harness.machine import may_use_fifo
@@ -19,6 +18,7 @@ from benchmarks.stands.shipped_cell import ShippedCell
 from benchmarks.stands.ur_cell import HOST, shipped_ur_cell
 from service.drivers.ur import recovery
 from service.drivers.ur.samples import OUTPUTS
+from wire.arrays import FloatArray
 from wire.records import TICK_S
 
 SETTLE_S = 0.5
@@ -42,8 +42,8 @@ class _Window(NamedTuple):
 class _Seen(NamedTuple):
     """Lateness of the beats and duration of the ticks, s, and CPU seconds per second."""
 
-    late_s: npt.NDArray[np.float64]
-    spent_s: npt.NDArray[np.float64]
+    late_s: FloatArray
+    spent_s: FloatArray
     share: float
 
 

@@ -12,8 +12,7 @@ from service.drivers.base import PoseTarget
 from service.drivers.sim_wire import CommandWriter
 from service.program import MODULE
 from sim_backend.zenoh_cell.cell import SimulatedCell
-from wire import keys
-from wire import records as wire
+from wire import keys, records
 from wire.law import ComplianceLaw, ControlLimits
 from wire.records import TICK_S
 from wire.session import close_session, open_session
@@ -71,7 +70,7 @@ def _in_process(ticks: int) -> float:
 
     def advance(commands: bytes | None) -> bytes:
         if commands:
-            for command in wire.decode(commands, wire.COMMAND):
+            for command in records.decode(commands, records.COMMAND):
                 cell.apply(command)
         return cell.tick().tobytes()
 
@@ -81,7 +80,7 @@ def _in_process(ticks: int) -> float:
 def _time(ticks: int, each: int, advance: Callable[[bytes | None], bytes]) -> float:
     """Return the median seconds per call while `ticks` pass, `each` per call, with the arm following targets."""
     commands = CommandWriter()
-    state = wire.decode(advance(None), wire.STATE)[-1:]
+    state = records.decode(advance(None), records.STATE)[-1:]
     commands.epoch = int(state["epoch"][0])
     position, rotvec = state["tcp_position"][0].copy(), state["tcp_rotvec"][0].copy()
     advance(commands.engage(LAW, LIMITS).tobytes())

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.cases.ur_ceiling import GENTLE_M_S
 from benchmarks.harness import operating
@@ -22,6 +21,7 @@ from service.client import CellClient
 from service.config import CellConfig
 from service.program import MODULE
 from service.safety.stop import STANDSTILL_M_S
+from wire.arrays import FloatArray
 from wire.records import TICK_S
 from wire.task import Task
 
@@ -166,7 +166,7 @@ def _is_pressing(lines: list[str], heard: int) -> bool:
     return True
 
 
-def _silence(record: npt.NDArray[np.float64], killed_s: float) -> Silence:
+def _silence(record: FloatArray, killed_s: float) -> Silence:
     """Cut the part after the last package of a killed control process from a record."""
     near = record[(record[:, 0] > killed_s - WATCHED_S) & (record[:, 0] < killed_s + WATCHED_S)]
     last = int(np.flatnonzero(near[:, 1])[-1])
@@ -174,9 +174,7 @@ def _silence(record: npt.NDArray[np.float64], killed_s: float) -> Silence:
     return Silence(*_ends(times_s - times_s[0], runs, speed), float(force[0]), float(force.max()))
 
 
-def _ends(
-    times_s: npt.NDArray[np.float64], runs: npt.NDArray[np.float64], speed: npt.NDArray[np.float64]
-) -> tuple[float, float]:
+def _ends(times_s: FloatArray, runs: FloatArray, speed: FloatArray) -> tuple[float, float]:
     """Return the times at which the program had ended and from which on the TCP stood for `STILL_S`.
 
     A peg left under load may slip into its hole long after the arm has come to rest; that is no motion of the arm. The

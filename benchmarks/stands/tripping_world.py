@@ -11,8 +11,7 @@ import zenoh
 
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from sim_backend.zenoh_cell.server import Pace, Server
-from wire import keys
-from wire import records as wire
+from wire import keys, records
 from wire.arrays import RecordArray
 from wire.realtime import request_realtime
 from wire.session import close_session, open_session
@@ -36,7 +35,7 @@ class TrippingCell(SimulatedCell):
 
     def tick(self) -> RecordArray:
         record = super().tick()
-        if self._query is not None and self._published_s is None and record["program"][0] == wire.Program.ENGAGED:
+        if self._query is not None and self._published_s is None and record["program"][0] == records.Program.ENGAGED:
             record["wrench"][0, 2] = FORCE_N
             self._published_s = time.perf_counter()
         return record
@@ -44,8 +43,8 @@ class TrippingCell(SimulatedCell):
     def on_command(self, sample: zenoh.Sample) -> None:
         """Answer the query at the first stop after the sample; called on Zenoh's thread."""
         arrived_s = time.perf_counter()
-        command = wire.decode(sample.payload.to_bytes(), wire.COMMAND)
-        if self._published_s is None or self._query is None or command["kind"][0] != wire.Kind.STOP:
+        command = records.decode(sample.payload.to_bytes(), records.COMMAND)
+        if self._published_s is None or self._query is None or command["kind"][0] != records.Kind.STOP:
             return
         query, self._query = self._query, None
         with query:

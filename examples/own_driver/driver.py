@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import secrets
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 from world import TICK_S, PointMassArm
@@ -12,6 +11,7 @@ from world import TICK_S, PointMassArm
 from service.drivers.base import DriverError, PoseTarget, RobotMode, SafetyMode, Sample, SampleSink, StopReason
 from service.faults import FaultCode
 from wire.law import ComplianceLaw, ControlLimits
+from wire.modes import TimeMode
 from wire.task import Task
 
 CAMERA_ERROR_M = np.array([2.5e-3, 0.0, 0.0])
@@ -22,7 +22,7 @@ class PointMassDriver:
     """Steps the arm and hands over its samples; `make_arm` lays out the world of a seed."""
 
     name = "point mass in this process"
-    mode: Literal["real_time", "lockstep"] = "lockstep"  # time passes only as far as `_let_time_pass` lets it
+    mode: TimeMode = "lockstep"  # time passes only as far as `_let_time_pass` lets it
     simulated = True  # a start may name a seed; a real arm refuses one
     tick_s = TICK_S
     samples_dropped = 0

@@ -8,7 +8,7 @@ from typing import Self
 from service.config import CellConfig, RecipeSection
 from service.policy.contract import PolicyContract
 from service.policy.observation import ENTRIES, Need
-from wire.limits import LockMode
+from wire.modes import LockMode
 
 Six = tuple[float, float, float, float, float, float]
 

@@ -6,11 +6,12 @@ thread of its own and hands over what it received. Frames, units and signs are t
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 from service.faults import FaultCode
 from wire.arrays import FloatArray
 from wire.law import ComplianceLaw, ControlLimits
+from wire.modes import TimeMode
 from wire.records import Program, StopReason
 from wire.rtde.modes import RobotMode as RobotMode
 from wire.rtde.modes import SafetyMode as SafetyMode
@@ -99,7 +100,7 @@ class Driver(Protocol):
         ...
 
     @property
-    def mode(self) -> Literal["real_time", "lockstep"]:
+    def mode(self) -> TimeMode:
         """Time mode. In `real_time` time passes by itself; in `lockstep` only this driver advances it."""
         ...
 

@@ -10,7 +10,7 @@ import numpy as np
 import structlog
 import zenoh
 
-from wire import records as wire
+from wire import records
 from wire.arrays import FloatArray
 from wire.session import close_session, open_session
 
@@ -47,7 +47,7 @@ class Camera(Protocol):
 
 
 class ZenohCamera:
-    """A camera that publishes `wire.CAMERA` records over Zenoh. The newest record counts while it is fresh.
+    """A camera that publishes `records.CAMERA` records over Zenoh. The newest record counts while it is fresh.
 
     A repeated or older frame refreshes nothing, so a publisher that repeats the last frame of a hanging camera soon
     counts as no camera. The first frame of a newly laid out world is always taken. Two publishers at once, told apart
@@ -97,13 +97,13 @@ class ZenohCamera:
         """Take in a message. Runs on Zenoh's thread."""
         arrival_s = self._clock()
         try:
-            records = wire.decode(message.payload.to_bytes(), wire.CAMERA)
-        except wire.WireError as error:
+            frames = records.decode(message.payload.to_bytes(), records.CAMERA)
+        except records.WireError as error:
             if not self._told:  # only once, because frames follow each other within a fraction of a second
                 _log.error("camera", key=self._key, error=str(error))
             self._told = True
             return
-        row = records[-1]
+        row = frames[-1]
         position = np.array(row["position"], np.float64)
         epoch, episode, time_s = int(row["epoch"]), int(row["episode"]), float(row["time_s"])
         with self._lock:

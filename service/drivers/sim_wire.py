@@ -6,7 +6,7 @@ import numpy as np
 
 from service.drivers.base import DriverError, PoseTarget, Sample
 from service.faults import FaultCode
-from wire import records as wire
+from wire import records
 from wire.arrays import RecordArray
 from wire.law import ComplianceLaw, ControlLimits
 from wire.task import Task
@@ -16,19 +16,19 @@ def read_sample(record: RecordArray, arrival_s: float) -> Sample:
     """Turn one state into a sample that shares no memory with it.
 
     Args:
-        record: (1,) record of `wire.STATE`.
+        record: (1,) record of `records.STATE`.
         arrival_s: time of arrival on the driver's clock, s.
 
     Raises:
-        wire.WireError: a field holds a value that the schema lacks. The monitor judges whether numbers are finite.
+        records.WireError: a field holds a value that the schema lacks. The monitor judges whether numbers are finite.
     """
     row = record[0]
-    if row["kind"] != wire.Kind.STATE:
-        raise wire.WireError(f"kind {int(row['kind'])} on a state key")
+    if row["kind"] != records.Kind.STATE:
+        raise records.WireError(f"kind {int(row['kind'])} on a state key")
     try:
-        program, stop_reason = wire.Program(int(row["program"])), wire.StopReason(int(row["stop_reason"]))
+        program, stop_reason = records.Program(int(row["program"])), records.StopReason(int(row["stop_reason"]))
     except ValueError as error:
-        raise wire.WireError(str(error)) from error
+        raise records.WireError(str(error)) from error
     estimate = row["hole_estimate"].copy()
     return Sample(
         epoch=int(row["epoch"]),
@@ -81,7 +81,7 @@ class CommandWriter:
         self._seq = 0
 
     def engage(self, law: ComplianceLaw, limits: ControlLimits) -> RecordArray:
-        record = self._new(wire.Kind.ENGAGE)
+        record = self._new(records.Kind.ENGAGE)
         row = record[0]
         row["stiffness"], row["damping"], row["inertia"] = law.stiffness, law.damping, law.inertia
         row["max_speed"], row["max_step"], row["workspace"] = limits.max_speed, limits.max_step, limits.workspace
@@ -89,27 +89,27 @@ class CommandWriter:
         return record
 
     def target(self, target: PoseTarget) -> RecordArray:
-        record = self._new(wire.Kind.TARGET)
+        record = self._new(records.Kind.TARGET)
         record[0]["position"], record[0]["rotvec"] = target.position, target.rotvec
         return record
 
     def stop(self) -> RecordArray:
-        return self._new(wire.Kind.STOP)
+        return self._new(records.Kind.STOP)
 
     def zero_ft(self) -> RecordArray:
-        return self._new(wire.Kind.ZERO_FT)
+        return self._new(records.Kind.ZERO_FT)
 
     def unlock(self) -> RecordArray:
-        return self._new(wire.Kind.UNLOCK)
+        return self._new(records.Kind.UNLOCK)
 
     @property
     def seq(self) -> int:
         """Number of the last command written."""
         return self._seq
 
-    def _new(self, kind: wire.Kind) -> RecordArray:
+    def _new(self, kind: records.Kind) -> RecordArray:
         self._seq += 1
-        record = wire.new(wire.COMMAND, kind)
+        record = records.new(records.COMMAND, kind)
         row = record[0]
         row["client"], row["epoch"], row["seq"] = self._client, self.epoch, self._seq
         return record

@@ -11,8 +11,7 @@ import zenoh
 from service.drivers.base import DriverError
 from service.drivers.sim_wire import check_task
 from service.faults import FaultCode
-from wire import keys
-from wire import records as wire
+from wire import keys, records
 from wire.session import QueryRefusedError, close_session, open_session, query
 from wire.task import Task
 
@@ -58,7 +57,7 @@ class WorldSetup(Protocol):
 
 
 class ZenohWorldSetup:
-    """Lays out an emulated controller's world with the query of a simulated cell (`docs/reference/wire.md`).
+    """Lays out an emulated controller's world with the query of a simulated cell (`docs/reference/records.md`).
 
     Args:
         world: name of the world in its keys.
@@ -87,8 +86,8 @@ class ZenohWorldSetup:
             text = f"{self._name}: {len(replies)} worlds answered, want one; is the emulated controller running?"
             raise DriverError(FaultCode.LINK if not replies else FaultCode.SOURCE, text)
         try:
-            row = wire.decode(replies[0], wire.CAMERA)[0]
-        except wire.WireError as error:
+            row = records.decode(replies[0], records.CAMERA)[0]
+        except records.WireError as error:
             raise DriverError(FaultCode.PROTOCOL, f"{self._name}: {error}") from error
         return LaidOut(episode=int(row["episode"]), time_s=float(row["time_s"]))
 

@@ -14,10 +14,9 @@ from service.drivers.handover import Handover
 from service.drivers.sim_wire import CommandWriter, check_task, read_sample
 from service.faults import FaultCode
 from service.program import PROGRAM
-from wire import keys
-from wire import records as wire
+from wire import keys, records
 from wire.law import ComplianceLaw, ControlLimits
-from wire.limits import TimeMode
+from wire.modes import TimeMode
 from wire.session import QueryRefusedError, call_in_loop, close_session, open_session, query
 from wire.task import Task
 
@@ -40,7 +39,7 @@ class ZenohSimDriver:
     """
 
     simulated = True
-    tick_s = wire.TICK_S
+    tick_s = records.TICK_S
 
     def __init__(
         self, world: str, connect: Sequence[str], mode: TimeMode, clock: Callable[[], float] = time.monotonic
@@ -66,7 +65,7 @@ class ZenohSimDriver:
     @property
     def clock(self) -> Callable[[], float]:
         if self.mode == "lockstep":
-            return lambda: self._ticks * wire.TICK_S
+            return lambda: self._ticks * records.TICK_S
         return self._host_clock
 
     @property
@@ -96,8 +95,8 @@ class ZenohSimDriver:
         payload = json.dumps(check_task(task).to_json()).encode()
         replies = await self._query(keys.RESET, payload, PREPARE_TIMEOUT_S)
         try:
-            laid_out = int(wire.decode(replies[0], wire.STATE)[0]["seq"])
-        except wire.WireError as error:
+            laid_out = int(records.decode(replies[0], records.STATE)[0]["seq"])
+        except records.WireError as error:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name}: {error}") from error
         self._quiet_ticks = 0
         try:
@@ -147,11 +146,11 @@ class ZenohSimDriver:
         """Check a state against the schema, stamp its arrival and hand it over. Runs on Zenoh's thread."""
         arrival_s = self._host_clock()
         try:
-            records = wire.decode(message.payload.to_bytes(), wire.STATE)
-            if len(records) != 1:
-                raise wire.WireError(f"{len(records)} states in one publication, want one")
-            sample = read_sample(records, arrival_s)
-        except wire.WireError as error:
+            states = records.decode(message.payload.to_bytes(), records.STATE)
+            if len(states) != 1:
+                raise records.WireError(f"{len(states)} states in one publication, want one")
+            sample = read_sample(states, arrival_s)
+        except records.WireError as error:
             wake = self._handover.report(FaultCode.PROTOCOL, f"{self.name}: {error}")
         else:
             wake = self._handover.offer(sample)
@@ -173,10 +172,10 @@ class ZenohSimDriver:
             try:
                 payload = b"".join(command.tobytes() for command in commands)
                 replies = await self._query(f"{keys.ADVANCE}?ticks=1", payload, QUERY_TIMEOUT_S)
-                records = wire.decode(replies[0], wire.STATE)
-                self._ticks += len(records)
-                samples = [read_sample(records[i : i + 1], self._ticks * wire.TICK_S) for i in range(len(records))]
-            except wire.WireError as error:
+                states = records.decode(replies[0], records.STATE)
+                self._ticks += len(states)
+                samples = [read_sample(states[i : i + 1], self._ticks * records.TICK_S) for i in range(len(states))]
+            except records.WireError as error:
                 self._report(FaultCode.PROTOCOL, f"{self.name}: {error}")
                 return
             except DriverError as error:
@@ -184,10 +183,10 @@ class ZenohSimDriver:
                 return
             for sample in samples:
                 self._hand_on(sample)
-            quiet = samples[-1].program is wire.Program.IDLE and not self._pending
+            quiet = samples[-1].program is records.Program.IDLE and not self._pending
             self._quiet_ticks = self._quiet_ticks + 1 if quiet else 0
             if self._quiet_ticks > IDLE_TICKS:
-                await asyncio.sleep(wire.TICK_S)
+                await asyncio.sleep(records.TICK_S)
 
     # --- both
 
@@ -224,10 +223,9 @@ class ZenohSimDriver:
             raise DriverError(
                 FaultCode.PROTOCOL, f"{self.name}: its answer to `info` cannot be read: {error}"
             ) from error
-        if version != wire.VERSION:
-            text = (
-                f"{self.name} speaks schema version {version}, this side reads {wire.VERSION}; install the same version"
-            )
+        if version != records.VERSION:
+            own = records.VERSION
+            text = f"{self.name} speaks schema version {version}, this side reads {own}; install the same version"
             raise DriverError(FaultCode.PROTOCOL, text)
         if mode != self.mode:
             text = (

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from service.policy.window import WrenchSummary, summarise
 from service.safety.pose import rotate, wrap
-from wire.arrays import Float32Array, FloatArray, IntArray
+from wire.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
 ObservationMode = Literal["VFTM", "FTM", "VM"]
 Frame = Literal["tool", "base", "none"]
@@ -106,7 +106,7 @@ class Reading:
     felt: WrenchSummary
     hole: FloatArray
     hole_frame: FloatArray
-    contact_known: npt.NDArray[np.bool_]
+    contact_known: BoolArray
     time_fraction: FloatArray
     wrench_clip: FloatArray
 

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wire.arrays import BoolArray, FloatArray, IntArray
-from wire.limits import LockMode
+from wire.modes import LockMode
 
 
 class Phase(IntEnum):

@@ -6,11 +6,9 @@ It uses plain floats and `math`: on six numbers numpy's call overhead would domi
 from dataclasses import dataclass, fields
 from math import hypot, inf, isfinite
 
-import numpy as np
-import numpy.typing as npt
-
 from service.faults import FaultCode
 from service.safety.verdict import IGNORED, PASSED, Verdict
+from wire.arrays import FloatArray
 from wire.limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 
 PLAUSIBLE = 1e6
@@ -124,8 +122,8 @@ class Monitor:
         episode: int,
         seq: int,
         time_s: float,
-        wrench: npt.NDArray[np.float64],
-        motion: npt.NDArray[np.float64],
+        wrench: FloatArray,
+        motion: FloatArray,
         saturated: bool,
         now: float,
     ) -> Verdict:

@@ -4,7 +4,6 @@ from dataclasses import dataclass, fields
 from math import isfinite
 
 import numpy as np
-import numpy.typing as npt
 
 from service.faults import FaultCode
 from service.safety.verdict import PASSED, Verdict
@@ -137,10 +136,10 @@ def check_wrench(parameters: PreflightParameters, window: FloatArray) -> Verdict
 
 def check_start_pose(
     parameters: PreflightParameters,
-    position: npt.NDArray[np.float64],
+    position: FloatArray,
     yaw: float,
-    tilt: npt.NDArray[np.float64],
-    start_position: npt.NDArray[np.float64],
+    tilt: FloatArray,
+    start_position: FloatArray,
     start_yaw: float,
 ) -> Verdict:
     """Judge whether the arm stands at the start pose.

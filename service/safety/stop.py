@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from math import hypot, isfinite
 
-import numpy as np
-import numpy.typing as npt
+from wire.arrays import FloatArray
 
 STANDSTILL_M_S = 2e-3
 STANDSTILL_RAD_S = 0.02
@@ -71,7 +70,7 @@ class StopConfirmation:
         """Newest finite measured TCP speed, m/s; None before the first."""
         return self._speed
 
-    def observe(self, velocity: npt.NDArray[np.float64], now: float) -> StopState:
+    def observe(self, velocity: FloatArray, now: float) -> StopState:
         """Take in the velocity of a new sample.
 
         Args:

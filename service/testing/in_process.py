@@ -5,7 +5,7 @@ Only this folder of the service imports the world.
 
 import asyncio
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import numpy.typing as npt
 
@@ -13,8 +13,9 @@ from service.drivers.base import DriverError, PoseTarget, Sample, SampleSink
 from service.drivers.sim_wire import CommandWriter, check_task, read_sample
 from service.faults import FaultCode
 from sim_backend.zenoh_cell.cell import SimulatedCell
-from wire import records as wire
+from wire import records
 from wire.law import ComplianceLaw, ControlLimits
+from wire.modes import TimeMode
 from wire.task import Task
 
 IDLE_TICKS = 500
@@ -28,10 +29,10 @@ class InProcessDriver:
         cell: the world.
     """
 
-    mode: Literal["real_time", "lockstep"] = "lockstep"
+    mode: TimeMode = "lockstep"
     name = "simulated cell in this process"
     simulated = True
-    tick_s = wire.TICK_S
+    tick_s = records.TICK_S
     samples_dropped = 0
 
     def __init__(self, cell: SimulatedCell) -> None:
@@ -45,7 +46,7 @@ class InProcessDriver:
 
     @property
     def clock(self) -> Callable[[], float]:
-        return lambda: self._ticks * wire.TICK_S
+        return lambda: self._ticks * records.TICK_S
 
     async def connect(self, sink: SampleSink) -> None:
         self._sink = sink
@@ -93,9 +94,9 @@ class InProcessDriver:
             sample = self._tick()
             if self._sink is not None:
                 self._sink.on_sample(sample)
-            quiet = sample.program is wire.Program.IDLE and not self._pending
+            quiet = sample.program is records.Program.IDLE and not self._pending
             self._quiet_ticks = self._quiet_ticks + 1 if quiet else 0
-            await asyncio.sleep(wire.TICK_S if self._quiet_ticks > IDLE_TICKS else 0)
+            await asyncio.sleep(records.TICK_S if self._quiet_ticks > IDLE_TICKS else 0)
 
     def _tick(self) -> Sample:
         commands, self._pending = self._pending, []
@@ -103,4 +104,4 @@ class InProcessDriver:
             self._cell.apply(command[0])
         record = self._cell.tick()
         self._ticks += 1
-        return read_sample(record, self._ticks * wire.TICK_S)
+        return read_sample(record, self._ticks * records.TICK_S)

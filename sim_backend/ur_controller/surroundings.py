@@ -1,6 +1,6 @@
 """Surroundings of the emulated robot over Zenoh: the episode, the truth, the camera, and an operator's panel.
 
-The arm itself speaks only UR's protocols. `docs/reference/wire.md` describes keys and records.
+The arm itself speaks only UR's protocols. `docs/reference/records.md` describes keys and records.
 """
 
 import json
@@ -15,8 +15,7 @@ from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Refused
 from sim_backend.ur_controller.server import ControllerServer
 from sim_backend.world.world import ESTIMATE_TICKS
-from wire import keys
-from wire import records as wire
+from wire import keys, records
 
 _QUERIES = {"reset": keys.RESET, "truth": keys.TRUTH, "info": keys.INFO, "panel": keys.PANEL}
 _QUERY_CAPACITY = 64
@@ -125,8 +124,8 @@ class Surroundings:
         return query is not None and self._answer(query)
 
     def frame(self) -> bytes:
-        """Return the camera's present frame, one `wire.CAMERA` record."""
-        record = wire.new(wire.CAMERA, wire.Kind.CAMERA)
+        """Return the camera's present frame, one `records.CAMERA` record."""
+        record = records.new(records.CAMERA, records.Kind.CAMERA)
         row = record[0]
         row["epoch"], row["episode"], row["seq"] = self.epoch, self._episode, self._server.counters.ticks
         row["time_s"] = self._controller.time_s
@@ -170,10 +169,10 @@ class Surroundings:
 
     def _info(self) -> bytes:
         document = {
-            "version": wire.VERSION,
+            "version": records.VERSION,
             "mode": "ur-controller",
             "epoch": self.epoch,
-            "tick_s": wire.TICK_S,
+            "tick_s": records.TICK_S,
             "part": self._controller.plant.part,
             "controller": ".".join(map(str, self._controller.versions)),
             "ports": asdict(self._server.ports),

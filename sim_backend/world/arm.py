@@ -6,13 +6,12 @@ control program and the robot do the same. These limits are an inner layer below
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from sim_backend.world import kinematics, quaternion
 from sim_backend.world.compliance import Law, Reference, advance
 from sim_backend.world.servo import JointServo
 from wire import pose
-from wire.arrays import CellIndices, FloatArray
+from wire.arrays import BoolArray, CellIndices, FloatArray
 from wire.law import ControlLimits
 from wire.records import TICK_S, Program, StopReason
 
@@ -89,7 +88,7 @@ class ArmController:
 
     def engage(
         self, cells: CellIndices, stiffness: FloatArray, damping: FloatArray, inertia: FloatArray, limits: ControlLimits
-    ) -> npt.NDArray[np.bool_]:
+    ) -> BoolArray:
         """Start the control program with the present reference as the target.
 
         Args:
@@ -121,7 +120,7 @@ class ArmController:
         self.program[cells] = Program.ENGAGED
         return idle
 
-    def set_target(self, cells: CellIndices, position: FloatArray, orientation: FloatArray) -> npt.NDArray[np.bool_]:
+    def set_target(self, cells: CellIndices, position: FloatArray, orientation: FloatArray) -> BoolArray:
         """Give arms a new target. A bad target stops the program; it is not clipped.
 
         Args:
@@ -168,7 +167,7 @@ class ArmController:
         wrench: FloatArray,
         position: FloatArray,
         orientation: FloatArray,
-        saturated: npt.NDArray[np.bool_] | np.bool_ = _NOT_SATURATED,
+        saturated: BoolArray | np.bool_ = _NOT_SATURATED,
     ) -> FloatArray:
         """Run one tick.
 
@@ -217,7 +216,7 @@ class ArmController:
         wrench: FloatArray,
         position: FloatArray,
         orientation: FloatArray,
-        saturated: npt.NDArray[np.bool_] | np.bool_,
+        saturated: BoolArray | np.bool_,
     ) -> FloatArray:
         """Stop arms that violate a limit; return the wrench to use, zero where it is not a number."""
         force = np.sqrt((wrench[:, :3] ** 2).sum(1))
@@ -240,7 +239,7 @@ class ArmController:
             self.joints[lagging] = joints[lagging]
         return wrench if known.all() else np.where(known[:, None], wrench, 0.0)
 
-    def _brake(self, racing: npt.NDArray[np.bool_], rates: FloatArray) -> None:
+    def _brake(self, racing: BoolArray, rates: FloatArray) -> None:
         """Stop arms with a joint rate beyond its limit, the first sign of a near singularity."""
         self.stop(np.flatnonzero(racing), StopReason.KINEMATICS)
         self.reference.twist[racing] = 0.0

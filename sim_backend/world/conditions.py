@@ -7,10 +7,9 @@ so a seed means the same world in training, in a test and through the deployed s
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sim_backend.world.scene import CONTACT_TIME_S, NOMINAL_HOLE_M
-from wire.arrays import FloatArray
+from wire.arrays import Float32Array, FloatArray
 from wire.task import SENSOR_DELAY_TICKS, Task
 
 FORCE_NOISE_N = 0.7
@@ -99,7 +98,7 @@ class Episode:
     target_delay: int
     bias: FloatArray
     drift: FloatArray
-    wrench_noise: npt.NDArray[np.float32]
+    wrench_noise: Float32Array
     estimate_noise: FloatArray
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sim_backend.world.conditions import NOISE_ROWS, Episode
 from sim_backend.world.kinematics import GRAVITY_M_S2
-from wire.arrays import FloatArray
+from wire.arrays import BoolArray, FloatArray
 from wire.records import TICK_S
 
 RANGE = np.array([30.0] * 3 + [10.0] * 3)
@@ -45,7 +45,7 @@ class ForceTorqueSensor:
         self._average = np.zeros((n, 6))
         self.raw = np.zeros((n, 6))
         self.wrench = np.zeros((n, 6))
-        self.saturated: npt.NDArray[np.bool_] = np.zeros(n, bool)
+        self.saturated: BoolArray = np.zeros(n, bool)
 
     def configure(
         self, payload_kg: float, payload_com_m: npt.ArrayLike, tcp_offset_m: npt.ArrayLike, rotation: FloatArray

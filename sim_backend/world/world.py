@@ -8,7 +8,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 from mujoco.batch import Batch
 
 from sim_backend.world import kinematics, scene
@@ -18,7 +17,7 @@ from sim_backend.world.parts import HOLE_DEPTH_M, hole_walls, wall_centres
 from sim_backend.world.sensor import ForceTorqueSensor
 from sim_backend.world.servo import gains
 from wire import pose
-from wire.arrays import CellIndices, FloatArray
+from wire.arrays import BoolArray, CellIndices, FloatArray
 from wire.law import ControlLimits
 from wire.records import StopReason
 from wire.task import Part, Task
@@ -175,7 +174,7 @@ class World:
 
     def engage(
         self, cells: CellIndices, stiffness: FloatArray, damping: FloatArray, inertia: FloatArray, limits: ControlLimits
-    ) -> npt.NDArray[np.bool_]:
+    ) -> BoolArray:
         """Start the control programs; the plant's stiffness error applies. Return the mask (k,) of engaged cells."""
         scaled = np.broadcast_to(stiffness, (len(cells), 6)) * self._stiffness_scale[cells, None]
         return self.arm.engage(cells, scaled, damping, inertia, limits)
@@ -280,7 +279,7 @@ class World:
         return self._block_position
 
     @property
-    def contained(self) -> npt.NDArray[np.bool_]:
+    def contained(self) -> BoolArray:
         """(n,) mask: the peg's axis lies inside the hole's outline, and its bottom is not below the hole's floor."""
         walls = np.stack([hole_walls(self._scene.part, c) for c in np.unique(self.clearance)])
         of_cell = walls[np.searchsorted(np.unique(self.clearance), self.clearance)]

@@ -7,34 +7,34 @@ import numpy.typing as npt
 
 from sim_backend.requests import RequestError, read_task
 from sim_backend.zenoh_cell.cell import SimulatedCell
-from wire import records as wire
+from wire import records
 
 MAX_TICKS = 5000
 """Largest number of ticks in one `advance`: 10 s of simulated time, 3 MB of reply."""
 MAX_COMMANDS = 1000
 """Largest number of commands in one message."""
 
-_COMMAND_KINDS = tuple(int(kind) for kind in wire.Kind if kind not in (wire.Kind.STATE, wire.Kind.CAMERA))
+_COMMAND_KINDS = tuple(int(kind) for kind in records.Kind if kind not in (records.Kind.STATE, records.Kind.CAMERA))
 
 
 def read_commands(payload: bytes) -> list[npt.NDArray[Any]]:
     """Decode commands.
 
     Args:
-        payload: one or more `wire.COMMAND` records.
+        payload: one or more `records.COMMAND` records.
 
     Returns:
-        n read-only records of `wire.COMMAND`, shape (), each of a command kind. Values are not checked here.
+        n read-only records of `records.COMMAND`, shape (), each of a command kind. Values are not checked here.
 
     Raises:
-        wire.WireError: the payload is malformed, too long or contains a record that is not a command.
+        records.WireError: the payload is malformed, too long or contains a record that is not a command.
     """
-    commands = wire.decode(payload, wire.COMMAND)
+    commands = records.decode(payload, records.COMMAND)
     if len(commands) > MAX_COMMANDS:
-        raise wire.WireError(f"{len(commands)} commands in one message, at most {MAX_COMMANDS}")
+        raise records.WireError(f"{len(commands)} commands in one message, at most {MAX_COMMANDS}")
     for kind in commands["kind"]:
         if kind not in _COMMAND_KINDS:
-            raise wire.WireError(f"kind {int(kind)} is not a command, want one of {_COMMAND_KINDS}")
+            raise records.WireError(f"kind {int(kind)} is not a command, want one of {_COMMAND_KINDS}")
     return [commands[index, ...] for index in range(len(commands))]
 
 
@@ -44,10 +44,10 @@ def advance(cell: SimulatedCell, parameters: str, payload: bytes) -> bytes:
     Args:
         cell: the world to advance.
         parameters: `ticks=N`, N from 1 to `MAX_TICKS`.
-        payload: zero or more `wire.COMMAND` records.
+        payload: zero or more `records.COMMAND` records.
 
     Returns:
-        N records of `wire.STATE`, one per tick.
+        N records of `records.STATE`, one per tick.
 
     Raises:
         RequestError: the request cannot be read.
@@ -55,7 +55,7 @@ def advance(cell: SimulatedCell, parameters: str, payload: bytes) -> bytes:
     ticks = _read_ticks(parameters)
     try:
         commands = read_commands(payload) if payload else []
-    except wire.WireError as error:
+    except records.WireError as error:
         raise RequestError(f"advance: {error}") from error
     for command in commands:
         cell.apply(command)
@@ -70,7 +70,7 @@ def reset(cell: SimulatedCell, payload: bytes) -> bytes:
         payload: JSON object of a `Task`.
 
     Returns:
-        One record of `wire.STATE`.
+        One record of `records.STATE`.
 
     Raises:
         RequestError: as `read_task`, or the task cannot be laid out.

@@ -73,7 +73,7 @@ class SimulatedCell:
         return self.state()
 
     def apply(self, command: RecordArray) -> None:
-        """Carry out one `wire.COMMAND` record. Never raises: commands for another world or not allowed are ignored."""
+        """Carry out one `records.COMMAND`. Never raises: a command for another world, or not allowed, is ignored."""
         kind, client = int(command["kind"]), int(command["client"])
         arm = self._world.arm
         if kind == Kind.STOP:
@@ -97,13 +97,13 @@ class SimulatedCell:
             arm.unlock(_ONLY)
 
     def tick(self) -> RecordArray:
-        """Advance by one tick; return the new state, (1,) of `wire.STATE`."""
+        """Advance by one tick; return the new state, (1,) of `records.STATE`."""
         self._world.tick()
         self._seq += 1
         return self.state()
 
     def state(self) -> RecordArray:
-        """Return the present state, (1,) of `wire.STATE`."""
+        """Return the present state, (1,) of `records.STATE`."""
         world, arm = self._world, self._world.arm
         record = new(STATE, Kind.STATE)
         row = record[0]

@@ -16,8 +16,7 @@ from sim_backend.metronome import Metronome
 from sim_backend.requests import RequestError, asked, query_keys
 from sim_backend.zenoh_cell import answers
 from sim_backend.zenoh_cell.cell import SimulatedCell
-from wire import keys
-from wire import records as wire
+from wire import keys, records
 from wire.realtime import freeze_garbage, has_realtime_scheduling
 
 _QUERY_CAPACITY = 64
@@ -99,7 +98,7 @@ class Server:
 
     def _run_in_real_time(self) -> NoReturn:
         freeze_garbage()
-        metronome = Metronome(wire.TICK_S, spin=has_realtime_scheduling())
+        metronome = Metronome(records.TICK_S, spin=has_realtime_scheduling())
         while True:
             metronome.wait()
             for command in self._take_commands():
@@ -123,11 +122,11 @@ class Server:
                 break
             try:
                 commands = answers.read_commands(sample.payload.to_bytes())
-            except wire.WireError:
+            except records.WireError:
                 self.counters.commands_malformed += 1
                 continue
             for command in commands:
-                if command["kind"] == wire.Kind.STOP:
+                if command["kind"] == records.Kind.STOP:
                     self.counters.commands_dropped += len(others)
                     others.clear()
                     stops.append(command)
@@ -164,16 +163,16 @@ class Server:
         if self._mode is Pace.REAL_TIME:
             raise RequestError("advance: this world runs in real time; only a lockstep world is advanced by its client")
         reply = answers.advance(self._cell, str(query.parameters), payload)
-        self.counters.ticks += len(reply) // wire.STATE.itemsize
-        self.counters.commands += len(payload) // wire.COMMAND.itemsize
+        self.counters.ticks += len(reply) // records.STATE.itemsize
+        self.counters.commands += len(payload) // records.COMMAND.itemsize
         return reply
 
     def _info(self) -> bytes:
         document = {
-            "version": wire.VERSION,
+            "version": records.VERSION,
             "mode": self._mode,
             "epoch": self._cell.epoch,
-            "tick_s": wire.TICK_S,
+            "tick_s": records.TICK_S,
             "part": self._cell.part,
             "degraded": self._degraded,
             "counters": asdict(self.counters),

@@ -11,6 +11,7 @@ from rtde_control import Path, PathEntry, RTDEControlInterface
 from rtde_receive import RTDEReceiveInterface
 
 from tests.strangers.emulated_robot import EmulatedRobot, Recording, plus, until
+from wire.arrays import FloatArray
 from wire.pose import rotation_from_rotvec, rotvec_from_rotation
 
 TICK_S = 0.002
@@ -18,7 +19,7 @@ SERVO = (0.0, 0.0, TICK_S, 0.05, 500.0)
 """Speed and acceleration (without effect), time, look-ahead and gain of a servo command."""
 
 
-def pose_of(robot: EmulatedRobot) -> npt.NDArray[np.float64]:
+def pose_of(robot: EmulatedRobot) -> FloatArray:
     truth = robot.truth()
     return np.concatenate([truth.position, rotvec_from_rotation(truth.rotation)])
 
@@ -30,7 +31,7 @@ def assert_pose(robot: EmulatedRobot, pose: npt.ArrayLike, tolerance_m: float = 
     assert np.linalg.norm(rotvec_from_rotation(turn)) < 5e-3
 
 
-def flange_of(control: RTDEControlInterface) -> npt.NDArray[np.float64]:
+def flange_of(control: RTDEControlInterface) -> FloatArray:
     """The flange's pose; this client reads the answer before it can have come, so that the first one is an old one."""
     control.getActualToolFlangePose()
     time.sleep(0.05)

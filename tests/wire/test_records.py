@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from wire import records as wire
+from wire import records
 
 
 def test_layouts_are_packed_and_start_with_the_same_header():
-    for dtype in (wire.STATE, wire.COMMAND, wire.CAMERA):
+    for dtype in (records.STATE, records.COMMAND, records.CAMERA):
         assert dtype.names is not None
         assert dtype.names[:3] == ("magic", "version", "kind")
         assert sum(dtype[name].itemsize for name in dtype.names) == dtype.itemsize
@@ -13,39 +13,41 @@ def test_layouts_are_packed_and_start_with_the_same_header():
 
 
 def test_a_record_survives_the_wire():
-    record = wire.new(wire.COMMAND, wire.Kind.TARGET)
+    record = records.new(records.COMMAND, records.Kind.TARGET)
     record["position"] = [0.1, -0.2, 0.3]
     record["seq"] = 2**63
-    read = wire.decode(record.tobytes(), wire.COMMAND)
+    read = records.decode(record.tobytes(), records.COMMAND)
     assert read.shape == (1,)
     assert read[0] == record[0]
-    assert wire.Kind(int(read["kind"][0])) is wire.Kind.TARGET
+    assert records.Kind(int(read["kind"][0])) is records.Kind.TARGET
 
 
 def test_several_records_are_read_in_order_and_cannot_be_written_to():
-    records = np.repeat(wire.new(wire.STATE, wire.Kind.STATE), 3)
-    records["seq"] = [5, 6, 7]
-    read = wire.decode(records.tobytes(), wire.STATE)
+    states = np.repeat(records.new(records.STATE, records.Kind.STATE), 3)
+    states["seq"] = [5, 6, 7]
+    read = records.decode(states.tobytes(), records.STATE)
     assert read["seq"].tolist() == [5, 6, 7]
     with pytest.raises(ValueError, match="read-only"):
         read["seq"] = 0
 
 
 def test_the_byte_order_of_the_wire_is_little_endian():
-    assert wire.new(wire.STATE, wire.Kind.STATE).tobytes()[:8] == b"DDSL" + bytes([wire.VERSION, 0, wire.Kind.STATE, 0])
+    assert records.new(records.STATE, records.Kind.STATE).tobytes()[:8] == b"DDSL" + bytes(
+        [records.VERSION, 0, records.Kind.STATE, 0]
+    )
 
 
-@pytest.mark.parametrize("length", [0, 1, wire.STATE.itemsize - 1, wire.STATE.itemsize + 1])
+@pytest.mark.parametrize("length", [0, 1, records.STATE.itemsize - 1, records.STATE.itemsize + 1])
 def test_a_broken_length_is_refused(length):
-    with pytest.raises(wire.WireError, match=f"{length} bytes are not a whole number"):
-        wire.decode(bytes(length), wire.STATE)
+    with pytest.raises(records.WireError, match=f"{length} bytes are not a whole number"):
+        records.decode(bytes(length), records.STATE)
 
 
 def test_a_foreign_or_newer_record_is_refused_even_behind_a_good_one():
-    records = np.repeat(wire.new(wire.STATE, wire.Kind.STATE), 2)
-    records["version"][1] = wire.VERSION + 1
-    with pytest.raises(wire.WireError, match="schema version"):
-        wire.decode(records.tobytes(), wire.STATE)
-    records["magic"][1] = 0
-    with pytest.raises(wire.WireError, match="wrong magic"):
-        wire.decode(records.tobytes(), wire.STATE)
+    states = np.repeat(records.new(records.STATE, records.Kind.STATE), 2)
+    states["version"][1] = records.VERSION + 1
+    with pytest.raises(records.WireError, match="schema version"):
+        records.decode(states.tobytes(), records.STATE)
+    states["magic"][1] = 0
+    with pytest.raises(records.WireError, match="wrong magic"):
+        records.decode(states.tobytes(), records.STATE)

@@ -1,4 +1,4 @@
-"""`docs/reference/wire.md` says what the code does: layouts, numbers, keys, task."""
+"""`docs/reference/records.md` says what the code does: layouts, numbers, keys, task."""
 
 import dataclasses
 import json
@@ -13,16 +13,15 @@ import pytest
 from sim_backend.ur_controller.server import Counters as UrCounters
 from sim_backend.ur_controller.surroundings import PRESSES
 from sim_backend.zenoh_cell import answers, server
-from wire import keys, task
-from wire import records as wire
+from wire import keys, records, task
 
-DOCUMENT = (Path(__file__).parents[2] / "docs/reference/wire.md").read_text(encoding="utf-8")
+DOCUMENT = (Path(__file__).parents[2] / "docs/reference/records.md").read_text(encoding="utf-8")
 
 
 def section(heading: str) -> str:
     """Text from a heading whose title starts with `heading` to the next heading."""
     match = re.search(rf"^#+ {heading}\b.*?$(.*?)(?=^#|\Z)", DOCUMENT, re.M | re.S)
-    assert match is not None, f"docs/reference/wire.md has no section {heading}"
+    assert match is not None, f"docs/reference/records.md has no section {heading}"
     return match[0]
 
 
@@ -31,7 +30,9 @@ def rows(heading: str) -> list[list[str]]:
     return [[cell.strip().strip("`") for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
-@pytest.mark.parametrize(("name", "dtype"), [("STATE", wire.STATE), ("COMMAND", wire.COMMAND), ("CAMERA", wire.CAMERA)])
+@pytest.mark.parametrize(
+    ("name", "dtype"), [("STATE", records.STATE), ("COMMAND", records.COMMAND), ("CAMERA", records.CAMERA)]
+)
 def test_record_tables_give_the_layout(name: str, dtype: np.dtype) -> None:
     def written(field: np.dtype) -> str:
         shape = f"[{'×'.join(map(str, field.shape))}]" if field.shape else ""
@@ -43,7 +44,7 @@ def test_record_tables_give_the_layout(name: str, dtype: np.dtype) -> None:
     assert all(row[3] for row in rows(name))
 
 
-@pytest.mark.parametrize("enumeration", [wire.Kind, wire.Program, wire.StopReason])
+@pytest.mark.parametrize("enumeration", [records.Kind, records.Program, records.StopReason])
 def test_enumeration_tables_give_names_and_numbers(enumeration: type[IntEnum]) -> None:
     assert [row[:2] for row in rows(enumeration.__name__)] == [[str(int(e)), e.name] for e in enumeration]
 
@@ -72,10 +73,10 @@ def test_the_emulated_controllers_section_names_presses_and_counters() -> None:
 
 
 def test_numbers_in_the_prose_are_those_of_the_code() -> None:
-    assert f"Schema version: {wire.VERSION}." in DOCUMENT
+    assert f"Schema version: {records.VERSION}." in DOCUMENT
     assert f"(1 … {answers.MAX_TICKS})" in section("Keys")
     assert f"at most {answers.MAX_COMMANDS}" in section("Keys")
     assert f"newest {server.MAX_COMMANDS_PER_TICK} are applied" in section("Real time")
-    assert f"every {wire.TICK_S * 1000:.0f} ms" in section("Real time")
+    assert f"every {records.TICK_S * 1000:.0f} ms" in section("Real time")
     for counter in dataclasses.fields(server.Counters):
         assert f"`{counter.name}`" in section("Info")

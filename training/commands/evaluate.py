@@ -29,7 +29,8 @@ from training.evaluation.results import (
     exclusive,
 )
 from training.report import paper
-from wire.limits import FORCE_HARD_MAXIMUM_N, LockMode
+from wire.limits import FORCE_HARD_MAXIMUM_N
+from wire.modes import LockMode
 from wire.task import Conditions, Part, Task
 
 DEFAULT_CLEARANCES_MM = (2.0, 1.33, 0.33)

@@ -7,7 +7,7 @@ from service.policy.contract import ActionEntry, ObservationEntry, PolicyContrac
 from service.policy.observation import ENTRIES, Need, ObservationMode
 from service.safety.dsl import DslParameters
 from wire.law import ComplianceLaw
-from wire.limits import LockMode
+from wire.modes import LockMode
 from wire.task import Conditions, Part
 
 LAW = ComplianceLaw(

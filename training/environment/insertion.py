@@ -20,7 +20,7 @@ from sim_backend.world.world import START_YAW_RAD, World
 from training.environment import reward
 from training.environment.reward import RewardName, Situation
 from wire import pose
-from wire.arrays import BoolArray, CellIndices, Float32Array, FloatArray
+from wire.arrays import BoolArray, CellIndices, Float32Array, FloatArray, IntArray
 from wire.law import ControlLimits
 from wire.limits import FORCE_CEILING_N, TILT_RAD, TORQUE_CEILING_NM, WORKSPACE_M
 from wire.records import Program
@@ -61,7 +61,7 @@ class Outcome:
         clamped: a command bound changed the command.
     """
 
-    observation: npt.NDArray[np.float32]
+    observation: Float32Array
     reward: FloatArray
     terminated: BoolArray
     truncated: BoolArray
@@ -70,7 +70,7 @@ class Outcome:
     peak_force: FloatArray
     depth: FloatArray
     z_lock: FloatArray
-    phase: npt.NDArray[np.int32]
+    phase: IntArray
     clamped: BoolArray
 
 
@@ -145,7 +145,7 @@ class Insertions:
         """(n,) rad, the command in force."""
         return self._state.target_yaw
 
-    def reset(self, cells: CellIndices, tasks: Sequence[Task]) -> npt.NDArray[np.float32]:
+    def reset(self, cells: CellIndices, tasks: Sequence[Task]) -> Float32Array:
         """Begin new episodes in `cells` (k,), at the end of the scripted approach.
 
         The peg hovers above the camera's estimate of the hole, in mode FTM above the nominal centre. The sensor is
@@ -218,7 +218,7 @@ class Insertions:
             clamped=bounded.clamped,
         )
 
-    def privileged(self) -> npt.NDArray[np.float32]:
+    def privileged(self) -> Float32Array:
         """Return (n, PRIVILEGED_SIZE) quantities that only the simulation knows, each about -1 … 1.
 
         They are for a critic, never for a policy.

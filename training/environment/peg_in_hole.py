@@ -21,13 +21,15 @@ from training.environment import design
 from training.environment.episodes import TaskSource
 from training.environment.insertion import Insertions, Outcome, info_of
 from training.environment.reward import RewardName
-from wire.limits import FORCE_HARD_MAXIMUM_N, LockMode
+from wire.arrays import BoolArray, Float32Array, FloatArray
+from wire.limits import FORCE_HARD_MAXIMUM_N
+from wire.modes import LockMode
 from wire.task import Conditions, Part, Task
 
 if TYPE_CHECKING:
     from sim_backend.world.rendering import Renderer
 
-Observation = npt.NDArray[np.float32]
+Observation = Float32Array
 Picture = npt.NDArray[np.uint8]
 
 OPTIONS = ("clearance_m", "world_seed")
@@ -141,9 +143,7 @@ class PegInHoleVectorEnv(gym.vector.VectorEnv[Observation, npt.NDArray[Any], npt
         observation = self._cells.insertions.reset(everyone, tasks).copy()
         return observation, self._masked(self._laid_out(everyone, tasks), np.ones(self.num_envs, np.bool_))
 
-    def step(
-        self, actions: npt.NDArray[Any]
-    ) -> tuple[Observation, npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
+    def step(self, actions: npt.NDArray[Any]) -> tuple[Observation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         """Run one policy step of every cell.
 
         Args:
@@ -191,7 +191,7 @@ class PegInHoleVectorEnv(gym.vector.VectorEnv[Observation, npt.NDArray[Any], npt
         seeds[cells], clearances[cells] = [t.seed for t in tasks], [t.clearance_m for t in tasks]
         return {"world_seed": seeds, "clearance_m": clearances}
 
-    def _masked(self, values: dict[str, Any], mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    def _masked(self, values: dict[str, Any], mask: BoolArray) -> dict[str, Any]:
         return values | {f"_{key}": mask.copy() for key in values}
 
 

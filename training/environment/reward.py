@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from wire.arrays import FloatArray
+from wire.arrays import BoolArray, FloatArray
 
 RewardName = Literal["potential", "paper"]
 
@@ -48,8 +47,8 @@ class Situation:
     yaw_error: FloatArray
     depth: FloatArray
     peak_force: FloatArray
-    success: npt.NDArray[np.bool_]
-    fault: npt.NDArray[np.bool_]
+    success: BoolArray
+    fault: BoolArray
 
 
 def potential(situation: Situation, goal_depth_m: float, force_cost_per_n: float = FORCE_COST_PER_N) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from training.environment.episodes import TaskSource
 from training.environment.insertion import PRIVILEGED_SIZE, Insertions
-from wire.arrays import Float32Array
+from wire.arrays import BoolArray, Float32Array, FloatArray
 
 WorkerJob = Callable[[], Any]
 """Work to do beside the training. The job and its result must be picklable."""
@@ -27,11 +27,11 @@ class Ended:
         episode_return: sum of the rewards.
     """
 
-    success: npt.NDArray[np.bool_]
-    fault: npt.NDArray[np.bool_]
+    success: BoolArray
+    fault: BoolArray
     steps: npt.NDArray[np.int64]
-    peak_force: npt.NDArray[np.float64]
-    episode_return: npt.NDArray[np.float64]
+    peak_force: FloatArray
+    episode_return: FloatArray
 
     @classmethod
     def joined(cls, parts: "list[Ended]") -> "Ended":
@@ -60,7 +60,7 @@ class Step:
 
     features: Float32Array
     reward: Float32Array
-    done: npt.NDArray[np.bool_]
+    done: BoolArray
     ended: Ended
 
 

@@ -18,7 +18,7 @@ from onnx import TensorProto, helper
 from service.policy.contract import ObservationEntry, PolicyContract
 from service.policy.observation import ObservationMode
 from training.environment import design
-from wire.limits import LockMode
+from wire.modes import LockMode
 from wire.task import Part
 
 OPSET = 17

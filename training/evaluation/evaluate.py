@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from service.policy.contract import PolicyContract
 from service.policy.model import Policy
 from training.environment.insertion import Insertions
 from training.environment.reward import RewardName
 from training.evaluation.results import Block, EpisodeResult, Setting
+from wire.arrays import Float32Array
 from wire.limits import FORCE_CEILING_N
 from wire.task import Conditions, Part, Task
 
@@ -30,10 +30,10 @@ CELLS = 25
 class Actor(Protocol):
     """A chooser of actions: `service.policy.model.Policy`, or a network in training."""
 
-    def initial_hidden(self, shape: tuple[int, ...] = ()) -> npt.NDArray[np.float32] | None: ...
+    def initial_hidden(self, shape: tuple[int, ...] = ()) -> Float32Array | None: ...
     def act(
-        self, observation: npt.NDArray[np.float32], hidden: npt.NDArray[np.float32] | None = None
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32] | None]: ...
+        self, observation: Float32Array, hidden: Float32Array | None = None
+    ) -> tuple[Float32Array, Float32Array | None]: ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ from service.policy.contract import EvaluationFigure
 from service.policy.observation import ObservationMode
 from training import files
 from training.environment.reward import RewardName
-from wire.limits import LockMode
+from wire.modes import LockMode
 from wire.task import Conditions, Part
 
 RESULTS = Path("results")

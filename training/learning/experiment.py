@@ -15,7 +15,8 @@ from service.policy.observation import ObservationMode
 from training.environment import design
 from training.environment.reward import FORCE_COST_PER_N, RewardName
 from wire.law import ComplianceLaw
-from wire.limits import FORCE_HARD_MAXIMUM_N, LockMode
+from wire.limits import FORCE_HARD_MAXIMUM_N
+from wire.modes import LockMode
 from wire.task import Conditions, Part, Task
 
 FOLDER = Path(__file__).parents[1] / "experiments"

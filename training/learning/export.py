@@ -19,8 +19,9 @@ from service.policy.contract import EvaluationFigure, PolicyContract
 from service.policy.model import Policy
 from training import files
 from training.learning.network import ActorCritic
+from wire.arrays import Float32Array
 
-Matrix = npt.NDArray[np.float32]
+Matrix = Float32Array
 
 OPSET = 17
 AGREEMENT = 1e-4
@@ -156,7 +157,7 @@ def rounded(network: ActorCritic) -> ActorCritic:
     return network
 
 
-def _levels(weights: Matrix) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.float32]]:
+def _levels(weights: Matrix) -> tuple[npt.NDArray[np.int8], Float32Array]:
     """Return the whole numbers (rows, columns) and the scales (rows,) nearest to a matrix of weights."""
     largest = np.abs(weights).max(1)
     scale = np.where(largest > 0.0, largest / LEVELS, 1.0).astype(np.float32)

@@ -23,7 +23,7 @@ from training.report import accounts, pages, paper
 from training.report.document import Document, Heading, Judged, Paragraph, ReportBlock, Table
 from training.report.measured import NOT_MEASURED, Measured, commit_name, interval, mean_steps, peaks, percent
 from training.report.own_chapters import THROUGH
-from wire.limits import LockMode
+from wire.modes import LockMode
 from wire.task import Part
 
 TITLE = "Models"

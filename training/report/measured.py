@@ -11,7 +11,7 @@ from training.evaluation.provenance import DIRTY
 from training.evaluation.results import Block, Results, Setting, Through
 from training.report import curves, paper
 from training.report.curves import Curve
-from wire.limits import LockMode
+from wire.modes import LockMode
 from wire.task import Conditions, Part
 
 NOT_MEASURED = "not measured"

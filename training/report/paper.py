@@ -12,7 +12,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.policy.observation import ObservationMode
-from wire.limits import LockMode
+from wire.modes import LockMode
 from wire.task import Conditions, Part
 
 Share = Annotated[float, Field(ge=0, le=1)]

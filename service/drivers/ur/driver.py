@@ -23,7 +23,7 @@ from service.drivers.ur.samples import Package, SampleReader
 from service.drivers.world_setup import WorldSetup
 from service.faults import FaultCode
 from wire.law import ComplianceLaw, ControlLimits
-from wire.limits import TimeMode
+from wire.modes import TimeMode
 from wire.records import TICK_S, Program
 from wire.rtde.modes import RuntimeState
 from wire.task import Task

@@ -19,7 +19,7 @@ from service.drivers.ur.samples import (
 )
 from service.drivers.ur.script_upload import UploadError, upload
 from service.faults import FaultCode
-from wire.limits import TimeMode
+from wire.modes import TimeMode
 from wire.records import Program
 from wire.rtde.codec import Decoded
 from wire.rtde.errors import RtdeError, RtdeErrorReason

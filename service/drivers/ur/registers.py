@@ -32,9 +32,9 @@ INPUT_ARGUMENT = 24
 OUTPUT_ACCEPTED = 24
 """Last sequence number that was carried out."""
 OUTPUT_PROGRAM = 25
-"""`wire.Program`."""
+"""`records.Program`."""
 OUTPUT_REASON = 26
-"""`wire.StopReason`."""
+"""`records.StopReason`."""
 OUTPUT_CRC = 27
 """Identity of the rendered program."""
 OUTPUT_COUNTER = 28

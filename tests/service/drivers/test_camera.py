@@ -13,8 +13,7 @@ from service.drivers.camera import ZenohCamera
 from service.drivers.world_setup import ZenohWorldSetup
 from service.faults import FaultCode
 from tests.service.sim_server import free_endpoint
-from wire import keys
-from wire import records as wire
+from wire import keys, records
 from wire.session import close_session, open_session
 from wire.task import Task
 
@@ -45,7 +44,7 @@ async def watching(clock: Callable[[], float]) -> AsyncIterator[tuple[zenoh.Sess
 
 
 def frame(position: tuple[float, float, float], episode: int = 4, time_s: float = 61.5, epoch: int = 0) -> bytes:
-    record = wire.new(wire.CAMERA, wire.Kind.CAMERA)
+    record = records.new(records.CAMERA, records.Kind.CAMERA)
     record[0]["epoch"] = epoch
     record[0]["episode"], record[0]["position"], record[0]["time_s"] = episode, position, time_s
     return record.tobytes()

@@ -14,7 +14,7 @@ from service.faults import FaultCode
 from service.testing.in_process import InProcessDriver
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from tests.service.sim_server import free_endpoint, sim_process
-from wire import records as wire
+from wire import records
 from wire.law import ComplianceLaw, ControlLimits
 from wire.limits import WORKSPACE_M
 from wire.session import close_session, open_session
@@ -80,7 +80,7 @@ async def test_lockstep_delivers_every_tick_once_and_time_is_the_worlds() -> Non
             await until(lambda: len(sink.samples) > 100)
             assert (np.diff([sample.seq for sample in sink.samples]) == 1).all()
             assert sink.samples[-1].arrival_s == driver.clock()
-            assert np.allclose(np.diff([sample.arrival_s for sample in sink.samples]), wire.TICK_S)
+            assert np.allclose(np.diff([sample.arrival_s for sample in sink.samples]), records.TICK_S)
 
 
 async def test_the_same_seed_is_the_same_world_with_transport_and_without() -> None:
@@ -128,7 +128,7 @@ async def test_a_world_that_cannot_be_laid_out_is_refused_by_the_fields_name() -
 
 
 def state(**fields: object) -> bytes:
-    record = wire.new(wire.STATE, wire.Kind.STATE)
+    record = records.new(records.STATE, records.Kind.STATE)
     for name, value in fields.items():
         record[name] = value
     return record.tobytes()
@@ -155,9 +155,9 @@ def impostor() -> AsyncIterator[tuple[str, zenoh.Session]]:
     [
         (b"", "0 bytes"),
         (state()[:-1], "bytes are not a whole number"),
-        (b"\xff" * wire.STATE.itemsize, "wrong magic"),
+        (b"\xff" * records.STATE.itemsize, "wrong magic"),
         (state(version=99), "schema version 99"),
-        (state(kind=wire.Kind.STOP), "kind 4 on a state key"),
+        (state(kind=records.Kind.STOP), "kind 4 on a state key"),
         (state(program=77), "77 is not a valid Program"),
         (state() * 2, "2 states"),
     ],

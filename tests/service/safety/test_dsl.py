@@ -6,7 +6,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from service.safety.dsl import DslOutput, DslParameters, DslState, Phase, step
-from wire.limits import LockMode
+from wire.modes import LockMode
 
 START = np.array([0.3, 0.1, 0.25])
 NO_ACTION = np.zeros(4)

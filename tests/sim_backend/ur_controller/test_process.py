@@ -13,7 +13,7 @@ import pytest
 
 from service.program import command
 from tests.sim_backend.ur_controller.rtde_peer import Peer
-from wire import records as wire
+from wire import records
 from wire.session import open_session
 
 ROOT = Path(__file__).parents[3]
@@ -81,7 +81,7 @@ def test_the_ready_line_names_world_and_ports_and_the_world_answers(free_endpoin
             (reply,) = list(session.get("sim/left/truth", timeout=PATIENCE_S))
             assert json.loads(reply.ok.payload.to_bytes())["task"]["seed"] == 3
             (reply,) = list(session.get("sim/left/reset", payload=b'{"seed": 9}', timeout=PATIENCE_S))
-            frame = wire.decode(reply.ok.payload.to_bytes(), wire.CAMERA)[0]
+            frame = records.decode(reply.ok.payload.to_bytes(), records.CAMERA)[0]
             assert (int(frame["epoch"]), int(frame["episode"])) == (info["epoch"], 1)
         process.popen.send_signal(signal.SIGINT)
         assert process.wait()[0] == 0

@@ -14,8 +14,7 @@ from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer
 from sim_backend.ur_controller.surroundings import Surroundings
 from sim_backend.world.world import START_POSITION_M, World
-from wire import keys
-from wire import records as wire
+from wire import keys, records
 from wire.session import open_session
 
 HOST = "127.0.0.22"
@@ -53,7 +52,7 @@ class Cell:
         raise AssertionError("no answer")
 
     def reset(self, **task: object) -> Any:
-        return wire.decode(self.ask("reset", json.dumps(task).encode()), wire.CAMERA)[0]
+        return records.decode(self.ask("reset", json.dumps(task).encode()), records.CAMERA)[0]
 
     def press(self, name: str) -> dict[str, Any]:
         return json.loads(self.ask("panel", json.dumps({"press": name}).encode()))
@@ -73,7 +72,7 @@ def test_a_reset_lays_out_an_episode_and_gives_its_first_camera_frame(cell: Cell
     cell.step(30)
     before_s = cell.controller.time_s
     frame = cell.reset(seed=7, clearance_m=0.00033)
-    assert frame["kind"] == wire.Kind.CAMERA
+    assert frame["kind"] == records.Kind.CAMERA
     assert (frame["epoch"], frame["episode"]) == (cell.surroundings.epoch, 1)
     assert before_s < frame["time_s"] <= cell.controller.time_s
     np.testing.assert_allclose(cell.controller.plant.tcp_pose()[:3], START_POSITION_M, atol=1e-3)
@@ -130,7 +129,9 @@ def take_frames(cell: Cell) -> Callable[[int, int], Any]:
                 cell.step(1)
                 continue
             frames += [
-                frame for frame in wire.decode(sample.payload.to_bytes(), wire.CAMERA) if frame["episode"] == episode
+                frame
+                for frame in records.decode(sample.payload.to_bytes(), records.CAMERA)
+                if frame["episode"] == episode
             ]
         return np.array(frames)
 
@@ -163,7 +164,7 @@ def test_the_camera_gives_a_frame_every_40_ms_on_the_clock_of_the_arm(cell: Cell
 
 def test_info_says_what_this_is(cell: Cell) -> None:
     info = json.loads(cell.ask("info"))
-    assert (info["mode"], info["version"], info["epoch"]) == ("ur-controller", wire.VERSION, cell.surroundings.epoch)
+    assert (info["mode"], info["version"], info["epoch"]) == ("ur-controller", records.VERSION, cell.surroundings.epoch)
     assert info["ports"]["rtde"] == cell.server.ports.rtde
     assert info["controller"].startswith("5.21.")
     assert info["degraded"] == ["no SCHED_FIFO"]

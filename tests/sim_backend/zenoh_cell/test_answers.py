@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from sim_backend.requests import RequestError
 from sim_backend.zenoh_cell import answers
 from sim_backend.zenoh_cell.cell import SimulatedCell
-from wire import records as wire
+from wire import records
 
 CELL = SimulatedCell("tr", epoch=7)
-COMMAND_KINDS = [kind for kind in wire.Kind if kind not in (wire.Kind.STATE, wire.Kind.CAMERA)]
+COMMAND_KINDS = [kind for kind in records.Kind if kind not in (records.Kind.STATE, records.Kind.CAMERA)]
 
 
-def command(kind: wire.Kind, **fields: object) -> np.ndarray:
-    record = wire.new(wire.COMMAND, kind)
+def command(kind: records.Kind, **fields: object) -> np.ndarray:
+    record = records.new(records.COMMAND, kind)
     for name, value in fields.items():
         record[name] = value
     return record
@@ -31,9 +31,9 @@ def snapshot() -> bytes:
 
 def test_advance_answers_one_state_per_tick() -> None:
     before = CELL.state()["seq"][0]
-    states = wire.decode(answers.advance(CELL, "ticks=7", b""), wire.STATE)
+    states = records.decode(answers.advance(CELL, "ticks=7", b""), records.STATE)
     assert states["seq"].tolist() == list(range(before + 1, before + 8))
-    assert (states["kind"] == wire.Kind.STATE).all()
+    assert (states["kind"] == records.Kind.STATE).all()
 
 
 @pytest.mark.parametrize(
@@ -46,29 +46,29 @@ def test_advance_answers_one_state_per_tick() -> None:
 def test_a_number_of_ticks_that_makes_no_sense_is_refused_and_changes_nothing(parameters: str) -> None:
     before = snapshot()
     with pytest.raises(RequestError, match="ticks=N with N from 1 to 5000"):
-        answers.advance(CELL, parameters, command(wire.Kind.STOP).tobytes())
+        answers.advance(CELL, parameters, command(records.Kind.STOP).tobytes())
     assert snapshot() == before
 
 
 def test_one_bad_command_among_good_ones_stops_them_all() -> None:
     before = snapshot()
-    good, bad = command(wire.Kind.STOP), command(wire.Kind.STOP, version=wire.VERSION + 1)
-    with pytest.raises(RequestError, match=f"schema version {wire.VERSION + 1}"):
+    good, bad = command(records.Kind.STOP), command(records.Kind.STOP, version=records.VERSION + 1)
+    with pytest.raises(RequestError, match=f"schema version {records.VERSION + 1}"):
         answers.advance(CELL, "ticks=1", good.tobytes() + bad.tobytes())
     assert snapshot() == before
 
 
-@pytest.mark.parametrize("kind", [0, wire.Kind.STATE, 7, 65535])
+@pytest.mark.parametrize("kind", [0, records.Kind.STATE, 7, 65535])
 def test_a_kind_that_is_no_command_is_named(kind: int) -> None:
-    record = command(wire.Kind.STOP)
+    record = command(records.Kind.STOP)
     record["kind"] = kind
-    with pytest.raises(wire.WireError, match=f"kind {int(kind)} is not a command"):
+    with pytest.raises(records.WireError, match=f"kind {int(kind)} is not a command"):
         answers.read_commands(record.tobytes())
 
 
 def test_more_commands_than_one_message_may_hold_are_refused() -> None:
-    payload = command(wire.Kind.STOP).tobytes() * (answers.MAX_COMMANDS + 1)
-    with pytest.raises(wire.WireError, match="at most 1000"):
+    payload = command(records.Kind.STOP).tobytes() * (answers.MAX_COMMANDS + 1)
+    with pytest.raises(records.WireError, match="at most 1000"):
         answers.read_commands(payload)
 
 
@@ -125,7 +125,7 @@ def test_no_bytes_break_the_answers(parameters: str, payload: bytes) -> None:
         lambda: answers.reset(CELL, payload),
     ):
         with contextlib.suppress(RequestError):
-            wire.decode(answer(), wire.STATE)
+            records.decode(answer(), records.STATE)
 
 
 @st.composite
@@ -134,7 +134,7 @@ def addressed_commands(draw: st.DrawFn) -> np.ndarray:
     kind = draw(st.sampled_from(COMMAND_KINDS))
     record = command(kind, epoch=CELL.epoch, client=draw(st.integers(1, 2)), seq=draw(st.integers(0, 2**64 - 1)))
     sane = {"position": CELL.state()["tcp_position"], "rotvec": CELL.state()["tcp_rotvec"], "workspace": [[-1], [1]]}
-    for name in wire.COMMAND.names[6:]:
+    for name in records.COMMAND.names[6:]:
         record[name] = sane.get(name, 1.0)
         if draw(st.booleans()):
             number = st.sampled_from([np.nan, np.inf, -np.inf, -1.0, 0.0, 1e-300, 1e300]) | st.floats()
@@ -146,7 +146,7 @@ def addressed_commands(draw: st.DrawFn) -> np.ndarray:
 @settings(max_examples=300, deadline=None)
 @given(st.lists(addressed_commands(), max_size=5))
 def test_no_content_of_commands_breaks_the_world(commands: list[np.ndarray]) -> None:
-    state = wire.decode(answers.advance(CELL, "ticks=3", b"".join(c.tobytes() for c in commands)), wire.STATE)
+    state = records.decode(answers.advance(CELL, "ticks=3", b"".join(c.tobytes() for c in commands)), records.STATE)
     for name in ("q", "wrench", "target_position", "target_rotvec", "peak_force"):
         assert np.isfinite(state[name]).all(), name
 
@@ -166,5 +166,5 @@ def test_no_content_of_commands_breaks_the_world(commands: list[np.ndarray]) -> 
 def test_no_task_breaks_the_world(document: dict[str, object]) -> None:
     with contextlib.suppress(RequestError):
         answers.reset(CELL, json.dumps(document).encode())
-    state = wire.decode(answers.advance(CELL, "ticks=1", b""), wire.STATE)
+    state = records.decode(answers.advance(CELL, "ticks=1", b""), records.STATE)
     assert np.isfinite(state["tcp_position"]).all()

@@ -17,7 +17,7 @@ import pytest
 import zenoh
 
 from service import program
-from wire import records as wire
+from wire import records
 from wire.endpoints import DEFAULT_ENDPOINT, DEFAULT_WORLD
 from wire.session import open_session
 
@@ -64,10 +64,12 @@ class Client:
         return json.loads(self.ask("info"))
 
     def advance(self, ticks: int, *commands: np.ndarray) -> np.ndarray:
-        return wire.decode(self.ask(f"advance?ticks={ticks}", b"".join(c.tobytes() for c in commands)), wire.STATE)
+        return records.decode(
+            self.ask(f"advance?ticks={ticks}", b"".join(c.tobytes() for c in commands)), records.STATE
+        )
 
     def reset(self, **task: object) -> np.ndarray:
-        return wire.decode(self.ask("reset", json.dumps(task).encode()), wire.STATE)
+        return records.decode(self.ask("reset", json.dumps(task).encode()), records.STATE)
 
     def send(self, *commands: np.ndarray) -> None:
         payload = b"".join(c.tobytes() for c in commands)
@@ -86,7 +88,7 @@ class States:
 
     def _take(self, sample: zenoh.Sample) -> None:
         with self._news:
-            self.records.append(wire.decode(sample.payload.to_bytes(), wire.STATE)[0])
+            self.records.append(records.decode(sample.payload.to_bytes(), records.STATE)[0])
             self._news.notify()
 
     def until(self, condition: Callable[[np.void], bool]) -> np.void:
@@ -130,9 +132,9 @@ def real_time(free_endpoint: str) -> Iterator[Client]:
         yield client
 
 
-def command(kind: wire.Kind, epoch: int, seq: int, state: np.void, **fields: object) -> np.ndarray:
+def command(kind: records.Kind, epoch: int, seq: int, state: np.void, **fields: object) -> np.ndarray:
     """A command about the pose in `state`, under a soft law."""
-    record = wire.new(wire.COMMAND, kind)
+    record = records.new(records.COMMAND, kind)
     record["client"], record["epoch"], record["seq"] = CLIENT, epoch, seq
     record["position"], record["rotvec"] = state["tcp_position"], state["tcp_rotvec"]
     record["stiffness"] = [800, 800, 800, 40, 40, 40]
@@ -150,16 +152,16 @@ def scripted_episode(client: Client, seed: int) -> bytes:
     """Engage, move down and aside, stop; every state but for the identity of world and episode."""
     state = client.reset(seed=seed, randomise_plant=True)[0]
     epoch = int(state["epoch"])
-    states = [client.advance(10, command(wire.Kind.ENGAGE, epoch, 1, state))]
+    states = [client.advance(10, command(records.Kind.ENGAGE, epoch, 1, state))]
     for step in range(2, 12):
         target = states[-1][-1]["target_position"] + [0.001, 0.0, -0.004]
-        states.append(client.advance(40, command(wire.Kind.TARGET, epoch, step, states[-1][-1], position=target)))
-    states.append(client.advance(50, command(wire.Kind.STOP, epoch, 99, state)))
-    records = np.concatenate(states)
-    assert records["program"][0] == wire.Program.ENGAGED
-    assert records["tcp_position"][-1, 2] < state["tcp_position"][2] - 0.02
-    records["epoch"] = records["episode"] = 0
-    return records.tobytes()
+        states.append(client.advance(40, command(records.Kind.TARGET, epoch, step, states[-1][-1], position=target)))
+    states.append(client.advance(50, command(records.Kind.STOP, epoch, 99, state)))
+    together = np.concatenate(states)
+    assert together["program"][0] == records.Program.ENGAGED
+    assert together["tcp_position"][-1, 2] < state["tcp_position"][2] - 0.02
+    together["epoch"] = together["episode"] = 0
+    return together.tobytes()
 
 
 def test_the_ready_line_names_the_world(free_endpoint: str) -> None:
@@ -172,7 +174,7 @@ def test_the_ready_line_names_the_world(free_endpoint: str) -> None:
             "epoch": str(info["epoch"]),
             "listen": free_endpoint,
         }
-        assert (info["version"], info["mode"], info["part"]) == (wire.VERSION, "lockstep", "cir")
+        assert (info["version"], info["mode"], info["part"]) == (records.VERSION, "lockstep", "cir")
 
 
 @pytest.mark.parametrize("mode", ["lockstep", "real-time"])
@@ -229,14 +231,14 @@ def test_lockstep_gives_the_same_bytes_for_the_same_seed_and_commands(free_endpo
         with served(free_endpoint, "--mode", "lockstep") as (process, client):
             episodes.append(scripted_episode(client, seed))
             process.end()
-    assert len(episodes[0]) == 460 * wire.STATE.itemsize
+    assert len(episodes[0]) == 460 * records.STATE.itemsize
     assert episodes[0] == episodes[1] != episodes[2]
 
 
 def test_what_happened_before_a_reset_leaves_no_trace_after_it(lockstep: Client) -> None:
-    first, second = (np.frombuffer(scripted_episode(lockstep, seed=5), wire.STATE).copy() for _ in range(2))
-    for records in (first, second):
-        records["seq"], records["time_s"] = 0, 0  # these two run on
+    first, second = (np.frombuffer(scripted_episode(lockstep, seed=5), records.STATE).copy() for _ in range(2))
+    for states in (first, second):
+        states["seq"], states["time_s"] = 0, 0  # these two run on
     assert first.tobytes() == second.tobytes()
 
 
@@ -324,15 +326,15 @@ def test_real_time_commands_move_the_arm_and_a_stop_ends_it(real_time: Client) -
     states = States(real_time.session)
     start = real_time.reset(seed=3)[0]
     epoch = int(start["epoch"])
-    real_time.send(command(wire.Kind.ENGAGE, epoch, 1, start))
-    engaged = states.until(lambda state: state["program"] == wire.Program.ENGAGED)
+    real_time.send(command(records.Kind.ENGAGE, epoch, 1, start))
+    engaged = states.until(lambda state: state["program"] == records.Program.ENGAGED)
     target = engaged["target_position"] + [0.0, 0.0, 0.01]
-    real_time.send(command(wire.Kind.TARGET, epoch, 2, engaged, position=target))
+    real_time.send(command(records.Kind.TARGET, epoch, 2, engaged, position=target))
     states.until(lambda state: state["command_seq"] == 2)
     states.until(lambda state: state["tcp_position"][2] > start["tcp_position"][2] + 0.005)
-    real_time.send(command(wire.Kind.STOP, 0, 3, start))
-    stopped = states.until(lambda state: state["stop_reason"] == wire.StopReason.COMMAND)
-    idle = states.until(lambda state: state["seq"] > stopped["seq"] and state["program"] == wire.Program.IDLE)
+    real_time.send(command(records.Kind.STOP, 0, 3, start))
+    stopped = states.until(lambda state: state["stop_reason"] == records.StopReason.COMMAND)
+    idle = states.until(lambda state: state["seq"] > stopped["seq"] and state["program"] == records.Program.IDLE)
     assert np.abs(idle["qd"]).max() < 0.05
 
 
@@ -340,9 +342,9 @@ def test_a_stop_discards_what_came_before_it_in_the_same_tick(real_time: Client)
     states = States(real_time.session)
     start = real_time.reset(seed=3)[0]
     epoch = int(start["epoch"])
-    real_time.send(command(wire.Kind.ENGAGE, epoch, 1, start), command(wire.Kind.STOP, epoch, 2, start))
-    real_time.send(command(wire.Kind.ENGAGE, epoch, 3, start))
-    engaged = states.until(lambda state: state["program"] == wire.Program.ENGAGED)
+    real_time.send(command(records.Kind.ENGAGE, epoch, 1, start), command(records.Kind.STOP, epoch, 2, start))
+    real_time.send(command(records.Kind.ENGAGE, epoch, 3, start))
+    engaged = states.until(lambda state: state["program"] == records.Program.ENGAGED)
     assert engaged["command_seq"] == 3
     assert real_time.info()["counters"]["commands_dropped"] == 1
 
@@ -352,18 +354,18 @@ def test_a_flood_of_commands_hides_no_stop_and_leaves_the_world_up(free_endpoint
         states = States(client.session)
         start = client.reset(seed=3)[0]
         epoch = int(start["epoch"])
-        client.send(command(wire.Kind.ENGAGE, epoch, 1, start))
-        states.until(lambda state: state["program"] == wire.Program.ENGAGED)
-        flood = [command(wire.Kind.TARGET, epoch, seq, start) for seq in range(2, 2002)]
+        client.send(command(records.Kind.ENGAGE, epoch, 1, start))
+        states.until(lambda state: state["program"] == records.Program.ENGAGED)
+        flood = [command(records.Kind.TARGET, epoch, seq, start) for seq in range(2, 2002)]
         for index, target in enumerate(flood):
             client.send(target)
             if index == 1500:
-                client.send(command(wire.Kind.STOP, epoch, 0, start))
+                client.send(command(records.Kind.STOP, epoch, 0, start))
         for _ in range(200):
             # BLOCK: what a full queue drops, nobody counts
             client.session.put("sim/world-1/command", b"garbage", congestion_control=zenoh.CongestionControl.BLOCK)
-        states.until(lambda state: state["stop_reason"] == wire.StopReason.COMMAND)
-        states.until(lambda state: state["program"] == wire.Program.IDLE and state["episode"] == start["episode"])
+        states.until(lambda state: state["stop_reason"] == records.StopReason.COMMAND)
+        states.until(lambda state: state["program"] == records.Program.IDLE and state["episode"] == start["episode"])
         assert client.info()["counters"]["commands_malformed"] > 0
         code, errors = process.end()
     assert code == 0

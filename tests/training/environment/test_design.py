@@ -3,7 +3,7 @@ import pytest
 from service.policy.contract import PolicyContract
 from service.policy.observation import ENTRIES, Need, ObservationMode
 from training.environment import design
-from wire.limits import LockMode
+from wire.modes import LockMode
 
 TOGETHER: list[tuple[ObservationMode, LockMode]] = [
     *((mode, lock) for mode in ("VFTM", "FTM") for lock in LockMode.__args__),

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from wire.arrays import FloatArray
+from wire.arrays import Float32Array, FloatArray
 
 pytest.importorskip("onnx", reason="needs the extra `training`")
 
@@ -26,14 +26,14 @@ def search() -> Policy:
 
 def seen(
     step: npt.ArrayLike, offset: tuple[float, float] = (0, 0), height: float = 0, known: float = 1, yaw: float = 0
-) -> npt.NDArray[np.float32]:
+) -> Float32Array:
     """Observations (n, 6) at steps (n,)."""
     steps = np.atleast_1d(step)
     rest = np.tile([*offset, height, known, yaw], (len(steps), 1))
     return np.column_stack([steps / STEPS, rest]).astype(np.float32)
 
 
-def asked(policy: Policy, observation: npt.NDArray[np.float32]) -> FloatArray:
+def asked(policy: Policy, observation: Float32Array) -> FloatArray:
     """Displacement (n, 4), tool frame: m and rad."""
     action, _ = policy.act(observation)
     return action * np.array([entry.limit for entry in policy.contract.action])

@@ -1,7 +1,6 @@
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from service.policy.model import Policy
@@ -10,6 +9,7 @@ from training.environment.episodes import FIRST_TRAINING_SEED
 from training.environment.insertion import Insertions
 from training.evaluation.evaluate import FIRST_TEST_SEED, evaluate, jobs_of, measure, play, with_lock
 from training.evaluation.results import Block, EpisodeResult, Setting
+from wire.arrays import Float32Array
 from wire.task import Task
 
 SETTING = Setting(part="tr", clearance_m=3e-3, conditions="easy", lock="paper", first_seed=FIRST_TEST_SEED)
@@ -22,12 +22,10 @@ class Knowing:
         self.insertions = insertions
         self.counted: list[float] = []
 
-    def initial_hidden(self, shape: tuple[int, ...] = ()) -> npt.NDArray[np.float32]:
+    def initial_hidden(self, shape: tuple[int, ...] = ()) -> Float32Array:
         return np.zeros((*shape, 1), np.float32)
 
-    def act(
-        self, observation: npt.NDArray[np.float32], hidden: npt.NDArray[np.float32] | None = None
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    def act(self, observation: Float32Array, hidden: Float32Array | None = None) -> tuple[Float32Array, Float32Array]:
         assert hidden is not None
         self.counted.append(float(hidden[0, 0]))
         return towards_hole(self.insertions).astype(np.float32), hidden + 1
