@@ -15,7 +15,7 @@ from fastapi.staticfiles import StaticFiles
 from pydantic.json_schema import models_json_schema
 
 from api import problems
-from api.cell import Cell
+from api.cell import FollowedCell
 from api.control_process import JOIN_S, ControlProcess
 from api.history import RunHistory
 from api.models import Frame
@@ -115,7 +115,7 @@ def create_app(config: CellConfig, path: Path) -> Protection:
         control_process = ControlProcess(config, path)
         closing = asyncio.Event()
         async with CellClient(config.cell.id, endpoint) as client, CellClient(config.cell.id, endpoint) as stopper:
-            cell = Cell(client, stopper, history)
+            cell = FollowedCell(client, stopper, history)
             app.state.runtime = Runtime(config, cell, control_process, closing)
 
             def close_streams() -> None:
@@ -135,7 +135,7 @@ def create_app(config: CellConfig, path: Path) -> Protection:
     return Protection(build_routes(lifespan), hosts=config.api.allowed_hosts, allow_remote=config.api.allow_remote)
 
 
-async def _join_or_start(cell: Cell, control_process: ControlProcess) -> None:
+async def _join_or_start(cell: FollowedCell, control_process: ControlProcess) -> None:
     if await cell.wait_alive(JOIN_S):
         _log.info("joined a control process that was there")
         return

@@ -18,7 +18,7 @@ WATCH_S = 0.1
 LEDGER_PAGE = 200
 
 
-class Cell:
+class FollowedCell:
     """Follows the control process and keeps the history in step with its ledger.
 
     Args:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Request
 
-from api.cell import Cell
+from api.cell import FollowedCell
 from api.control_process import ControlProcess
 from api.models import CellStatus
 from api.problems import ProblemError
@@ -28,7 +28,7 @@ class Runtime:
     """
 
     config: CellConfig
-    cell: Cell
+    cell: FollowedCell
     control_process: ControlProcess
     closing: asyncio.Event
 

@@ -13,7 +13,7 @@ from benchmarks.harness.result import Result, UnavailableError
 
 BENCHMARKS = (
     *("tick", "stop_latency", "round_trip", "lockstep", "lateness", "throughput", "training_share", "peers"),
-    *("rtde", "emulator", "ur_client", "ur_stop", "ur_ceiling", "ur_silence"),
+    *("rtde", "emulator", "ur_client", "ur_stop", "ur_ceiling", "ur_silence", "contact_loop"),
 )
 FOLDER = Path("benchmarks/results")
 

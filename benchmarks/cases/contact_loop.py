@@ -1,13 +1,13 @@
 """Stability of the force loop: press on the block at the shortest and the longest sensor delay, with scaled damping.
 
-`python -m benchmarks.cases.contact_loop` prints the figures of `docs/explanation/decisions/0004-admittance.md`. It
-measures no time.
+Its figures stand in `docs/explanation/decisions/0004-admittance.md`. It measures no time.
 """
 
 import itertools
 
 import numpy as np
 
+from benchmarks.harness.result import Result
 from service.safety.pose import rotvec_from_yaw
 from sim_backend.world import quaternion
 from sim_backend.world.conditions import FORCE_NOISE_N, draw
@@ -23,14 +23,14 @@ STEPS, SETTLED_STEPS, STEP_TICKS = 60, 10, 50
 BESIDE_HOLE_M = np.array([0.025, 0.015, 0.020])
 
 
-def press(damping_scale: float, delay_ticks: int) -> tuple[float, float]:
+def press(damping_scale: float, delay_ticks: int, count: int) -> tuple[float, float]:
     """Descend onto the block beside the hole and keep pressing, as the lock does without contact.
 
     Returns:
         Standard deviation of the measured vertical force after settling, and the largest measured resultant, N.
     """
-    seeds = itertools.islice((s for s in itertools.count() if draw(Task(s)).sensor_delay == delay_ticks), CELLS)
-    world, cells = World(CELLS), np.arange(CELLS)
+    seeds = itertools.islice((s for s in itertools.count() if draw(Task(s)).sensor_delay == delay_ticks), count)
+    world, cells = World(count), np.arange(count)
     world.reset(cells, [Task(seed) for seed in seeds])
     world.place(cells, world.hole_position + BESIDE_HOLE_M, world.hole_yaw.copy())
     world.zero_ft(cells)
@@ -48,15 +48,18 @@ def press(damping_scale: float, delay_ticks: int) -> tuple[float, float]:
     return float(settled.std(axis=0).mean()), float(np.sqrt((force**2).sum(-1)).max())
 
 
-def main() -> None:
-    """Print the table."""
-    print(f"Sensor noise {FORCE_NOISE_N} N per sample; vertical damping at 1.0: {LAW.damping[2]:g} N·s/m.\n")
-    print("| damping | sensor delay, ms | force, standard deviation, N | largest force, N |")
-    print("|---|---|---|---|")
-    for scale, delay in itertools.product((0.35, 0.6, 1.0), (1, 4)):
-        deviation, peak = press(scale, delay)
-        print(f"| {scale:g} | {delay * TICK_S * 1e3:g} | {deviation:.2f} | {peak:.1f} |")
-
-
-if __name__ == "__main__":
-    main()
+def measure(scale: float) -> Result:
+    """Measure; `scale` multiplies the 16 cells of each row."""
+    cells = max(2, round(CELLS * scale))
+    rows: list[tuple[str, ...]] = []
+    for damping, delay in itertools.product((0.35, 0.6, 1.0), (1, 4)):
+        deviation, peak = press(damping, delay, cells)
+        rows.append((f"{damping:g}", f"{delay * TICK_S * 1e3:g}", f"{deviation:.2f}", f"{peak:.1f}"))
+    return Result(
+        question="How stable is the force loop at the shortest and the longest delay of the sensor?",
+        columns=("damping", "sensor delay, ms", "force, standard deviation, N", "largest force, N"),
+        rows=tuple(rows),
+        finding=f"At the trained damping and the longest delay the force deviates by {rows[-1][2]} N.",
+        method=f"{cells} cells press on the block beside the hole, as the lock does without contact. The sensor's noise "
+        f"is {FORCE_NOISE_N} N per sample. Damping 1.0 is {LAW.damping[2]:g} N·s/m vertically.",
+    )

@@ -17,7 +17,7 @@ from service.drivers.base import DriverError, Sample
 from service.drivers.ur import gate, recovery
 from service.drivers.ur.dashboard import DashboardError
 from service.drivers.ur.driver import UrDriver
-from service.drivers.ur.gripper import Gripper, GripperError, Status
+from service.drivers.ur.gripper import Gripper, GripperError
 from service.faults import FaultCode
 
 T = TypeVar("T")
@@ -90,7 +90,7 @@ def gripper(action: Annotated[GripperAction, typer.Argument(help="Ask, or move."
     typer.echo(f"{state}, {held}, {status.opening_mm:.1f} mm open, fault {status.fault}")
 
 
-async def _ask_gripper(fingers: Gripper, action: GripperAction) -> Status:
+async def _ask_gripper(fingers: Gripper, action: GripperAction) -> GripperStatus:
     async with fingers:
         match action:
             case GripperAction.STATUS:

@@ -233,7 +233,7 @@ ENTRIES: dict[str, EntrySpec] = {
 """Every entry that a contract may name."""
 
 
-class ObservationEntry(Protocol):
+class ObservedEntry(Protocol):
     """Fields of a contract's observation entry that the builder reads."""
 
     @property
@@ -247,7 +247,7 @@ class ObservationBuilder:
 
     def __init__(
         self,
-        entries: Sequence[ObservationEntry],
+        entries: Sequence[ObservedEntry],
         mode: ObservationMode,
         max_steps: int,
         window_samples: int,

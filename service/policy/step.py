@@ -20,7 +20,10 @@ from wire.limits import TILT_RAD, YAW_HALF_RANGE_RAD
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Everything measured at one moment; base frame. One step observes and acts on the same instance.
+    """Everything measured at one moment; base frame.
+
+    A step observes and acts on the same instance. Training alone makes an exception: under its setting `misreads` the
+    policy observes a falsified copy, and the lock acts on the measurement.
 
     Attributes:
         position: (..., 3) m, measured TCP.

@@ -282,9 +282,8 @@ class Insertions:
         self._seen = self._see()
         read = self._seen
         if self._misreads:  # only the policy misreads the torque, the lock does not
-            window = read.wrench_window.copy()
-            window[..., 5] *= self._torque_read
-            read = replace(read, wrench_window=window)
+            read = replace(read, wrench_window=read.wrench_window.copy())
+            read.wrench_window[..., 5] *= self._torque_read
         self._state, observation = self._policy_step.observe(self._state, read, mask)
         return observation
 
@@ -295,7 +294,7 @@ class Insertions:
             position=world.position,
             yaw=np.asarray(pose.yaw_of(world.rotation)),
             tilt=tilt,
-            wrench_window=self._window,
+            wrench_window=self._window.copy(),
             hole_estimate=world.estimate,
             nominal_hole=self._nominal,
             start_yaw=self._start_yaw,

@@ -73,7 +73,7 @@ class Detection(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class GripperStatus:
     """State reported by the gripper.
 
     Attributes:
@@ -154,16 +154,16 @@ class Gripper:
             with contextlib.suppress(OSError):
                 await streams[1].wait_closed()
 
-    async def status(self) -> Status:
+    async def status(self) -> GripperStatus:
         """Query the state.
 
         Raises:
             GripperError: LOST or TIMEOUT.
         """
         values = [await self._get(name) for name in _NAMES]
-        return Status(*values)
+        return GripperStatus(*values)
 
-    async def activate(self) -> Status:
+    async def activate(self) -> GripperStatus:
         """Activate unless active; the fingers then open and close once and would drop an object.
 
         Raises:
@@ -177,15 +177,17 @@ class Gripper:
         await self._set(ACT=1)
         return await self._until(lambda seen: seen.is_active, "to activate", ACTIVATION_TIMEOUT_S)
 
-    async def open(self, speed_mm_s: float = SPEED_MM_S[1], force_n: float = FORCE_N[0]) -> Status:
+    async def open(self, speed_mm_s: float = SPEED_MM_S[1], force_n: float = FORCE_N[0]) -> GripperStatus:
         """Open fully; arguments and errors as in `move`."""
         return await self.move(STROKE_MM, speed_mm_s, force_n)
 
-    async def close(self, speed_mm_s: float = SPEED_MM_S[0], force_n: float = FORCE_N[0]) -> Status:
+    async def close(self, speed_mm_s: float = SPEED_MM_S[0], force_n: float = FORCE_N[0]) -> GripperStatus:
         """Close until the fingers hold an object or meet; the status tells which. Arguments and errors as in `move`."""
         return await self._go(255, speed_mm_s, force_n)
 
-    async def move(self, opening_mm: float, speed_mm_s: float = SPEED_MM_S[1], force_n: float = FORCE_N[0]) -> Status:
+    async def move(
+        self, opening_mm: float, speed_mm_s: float = SPEED_MM_S[1], force_n: float = FORCE_N[0]
+    ) -> GripperStatus:
         """Move the fingers and return the status once they rest.
 
         Args:
@@ -200,7 +202,7 @@ class Gripper:
         fraction = _fraction(opening_mm, (0.0, STROKE_MM), "opening_mm")
         return await self._go(round(POS_CLOSED - fraction * (POS_CLOSED - POS_OPEN)), speed_mm_s, force_n)
 
-    async def _go(self, position: int, speed_mm_s: float, force_n: float) -> Status:
+    async def _go(self, position: int, speed_mm_s: float, force_n: float) -> GripperStatus:
         speed = round(255 * _fraction(speed_mm_s, SPEED_MM_S, "speed_mm_s"))
         force = round(255 * _fraction(force_n, FORCE_N, "force_n"))
         if not (await self.status()).is_active:
@@ -212,8 +214,8 @@ class Gripper:
         )
 
     async def _until(
-        self, done: Callable[[Status], bool], what: str, timeout_s: float, *, resets: bool = False
-    ) -> Status:
+        self, done: Callable[[GripperStatus], bool], what: str, timeout_s: float, *, resets: bool = False
+    ) -> GripperStatus:
         clock = asyncio.get_running_loop().time
         deadline_s = clock() + timeout_s
         while True:
