@@ -60,6 +60,6 @@ def measure(scale: float) -> Result:
         columns=("damping", "sensor delay, ms", "force, standard deviation, N", "largest force, N"),
         rows=tuple(rows),
         finding=f"At the trained damping and the longest delay the force deviates by {rows[-1][2]} N.",
-        method=f"{cells} cells press on the block beside the hole, as the lock does without contact. The sensor's noise "
-        f"is {FORCE_NOISE_N} N per sample. Damping 1.0 is {LAW.damping[2]:g} N·s/m vertically.",
+        method=f"{cells} cells press on the block beside the hole, as the lock does without contact. The noise of the "
+        f"sensor is {FORCE_NOISE_N} N per sample. Damping 1.0 is {LAW.damping[2]:g} N·s/m vertically.",
     )

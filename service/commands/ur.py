@@ -17,7 +17,7 @@ from service.drivers.base import DriverError, Sample
 from service.drivers.ur import gate, recovery
 from service.drivers.ur.dashboard import DashboardError
 from service.drivers.ur.driver import UrDriver
-from service.drivers.ur.gripper import Gripper, GripperError
+from service.drivers.ur.gripper import Gripper, GripperError, GripperStatus
 from service.faults import FaultCode
 
 T = TypeVar("T")

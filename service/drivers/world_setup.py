@@ -57,7 +57,7 @@ class WorldSetup(Protocol):
 
 
 class ZenohWorldSetup:
-    """Lays out an emulated controller's world with the query of a simulated cell (`docs/reference/records.md`).
+    """Lays out an emulated controller's world with the query of a simulated cell (`docs/reference/wire.md`).
 
     Args:
         world: name of the world in its keys.

@@ -1,6 +1,6 @@
 """Surroundings of the emulated robot over Zenoh: the episode, the truth, the camera, and an operator's panel.
 
-The arm itself speaks only UR's protocols. `docs/reference/records.md` describes keys and records.
+The arm itself speaks only UR's protocols. `docs/reference/wire.md` describes keys and records.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""`docs/reference/records.md` says what the code does: layouts, numbers, keys, task."""
+"""`docs/reference/wire.md` says what the code does: layouts, numbers, keys, task."""
 
 import dataclasses
 import json
@@ -15,13 +15,13 @@ from sim_backend.ur_controller.surroundings import PRESSES
 from sim_backend.zenoh_cell import answers, server
 from wire import keys, records, task
 
-DOCUMENT = (Path(__file__).parents[2] / "docs/reference/records.md").read_text(encoding="utf-8")
+DOCUMENT = (Path(__file__).parents[2] / "docs/reference/wire.md").read_text(encoding="utf-8")
 
 
 def section(heading: str) -> str:
     """Text from a heading whose title starts with `heading` to the next heading."""
     match = re.search(rf"^#+ {heading}\b.*?$(.*?)(?=^#|\Z)", DOCUMENT, re.M | re.S)
-    assert match is not None, f"docs/reference/records.md has no section {heading}"
+    assert match is not None, f"docs/reference/wire.md has no section {heading}"
     return match[0]
 
 
