@@ -80,6 +80,7 @@ def test_safety_imports_numpy_faults_and_arithmetic_only(module: Path) -> None:
         "service.faults",
         "wire.arrays",
         "wire.limits",
+        "wire.modes",
     }
     foreign = {name for name in imported(module) if name not in allowed and not name.startswith("service.safety")}
     assert not foreign
