@@ -41,10 +41,9 @@ def _simulator_of(cell: CellConfig) -> tuple[Sequence[str], Sequence[str]] | Non
             return ("sim", "serve", "--mode", sim.mode.replace("_", "-"), *world), (sim.endpoint,)
         case "ur":
             ur = ur_section(cell)
-            robot = f"tcp/{ur.host}:{ur.rtde_port}"
-            return (
-                (("sim", "ur-controller", "--host", ur.host, *world), (robot, sim.endpoint)) if ur.simulated else None
-            )
+            if not ur.simulated:
+                return None
+            return ("sim", "ur-controller", "--host", ur.host, *world), (f"tcp/{ur.host}:{ur.rtde_port}", sim.endpoint)
         case _ as never:
             assert_never(never)
 
