@@ -60,15 +60,8 @@ class ControlProcess:
         if self.child is None:
             return
         name, process = self.child.name, self.child.process
-        process.terminate()
-        for _ in range(int(END_S / POLL_S)):
-            if process.poll() is not None:
-                break
-            await asyncio.sleep(POLL_S)
-        else:
+        if not await asyncio.to_thread(self.child.end, END_S):
             _log.error("killed", name=name, pid=process.pid, waited_s=END_S)
-            process.kill()
-            process.wait()
         _log.info("ended", name=name, pid=process.pid, status=process.returncode)
 
     async def watch(self) -> None:

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from benchmarks.harness import machine, report
 from benchmarks.harness.result import Result, UnavailableError
+from wire.exits import Exit
 
 BENCHMARKS = (
     *("tick", "stop_latency", "round_trip", "lockstep", "lateness", "throughput", "training_share", "peers"),
@@ -41,7 +42,7 @@ def bench(
     wanted = names or list(BENCHMARKS)
     if unknown := sorted(set(wanted) - set(BENCHMARKS)):
         console.print(f"no benchmark {', '.join(unknown)}; there are {', '.join(BENCHMARKS)}")
-        raise typer.Exit(2)
+        raise typer.Exit(Exit.USAGE)
     taken = machine.conditions()
     console.print(", ".join(f"{name} {value}" for name, value in taken.items()), highlight=False)
     given = {"peers": {"python": peers_python}}
@@ -59,7 +60,7 @@ def bench(
             written = report.save(out, taken, results)
     for path in written:
         console.print(f"wrote {path}", highlight=False)
-    raise typer.Exit(int(failed))
+    raise typer.Exit(Exit.FAILED if failed else 0)
 
 
 def _measure(console: Console, name: str, scale: float, given: Mapping[str, Any]) -> tuple[Result, bool]:

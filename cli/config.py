@@ -10,9 +10,10 @@ from typing import Annotated
 import typer
 
 from cli import shipped
-from cli.exits import Exit, fail
+from cli.exits import fail
 from service.config import CellConfig, ConfigError, find, load
 from service.program import PROGRAM
+from wire.exits import Exit
 
 app = typer.Typer(
     add_completion=False,

@@ -8,8 +8,9 @@ import httpx
 import typer
 
 from cli.address import DEFAULT_URL, URL_VARIABLE, is_address
-from cli.exits import Exit, fail
+from cli.exits import fail
 from service.program import PROGRAM
+from wire.exits import Exit
 
 TIMEOUT_S = 15.0
 SILENT = frozenset({"CELL_SILENT", "STOP_NOT_DELIVERED", "SHUTTING_DOWN"})
@@ -52,6 +53,13 @@ class Api:
     def status(self) -> dict[str, Any]:
         """Return the status; a cell that is UNKNOWN is one too."""
         return self.get("/status")
+
+    def status_if_up(self) -> dict[str, Any] | None:
+        """Return the status; None while the API does not answer."""
+        try:
+            return self._http.get("/status").json()
+        except httpx.TransportError:
+            return None
 
     def _ask(self, method: str, path: str, **rest: Any) -> Any:
         try:

@@ -3,6 +3,7 @@
 import json
 import time
 import uuid
+from collections.abc import Callable
 from datetime import datetime
 from typing import Annotated, Any
 
@@ -14,9 +15,10 @@ from rich.table import Table
 
 from cli.address import DEFAULT_URL, Url
 from cli.connection import Api, AsJson
-from cli.exits import Exit, fail
+from cli.exits import fail
 from cli.live import View, millimetres, outcome, plain_console
 from service.program import PROGRAM
+from wire.exits import Exit
 
 POLL_S = 0.1
 SILENCE_S = 3.0
@@ -46,7 +48,7 @@ def start(
         console = Console(highlight=False, soft_wrap=True, stderr=as_json)
         console.print(f"accepted: run [bold]{accepted['id']}[/], recipe {body['recipe']}, seed {accepted['seed']}")
         try:
-            run = _follow(api, accepted["id"], console) if wait else accepted
+            run = follow(api, accepted["id"], console) if wait else accepted
         except KeyboardInterrupt:
             fail("start", f"the run goes on; `{PROGRAM} stop` stops it", Exit.INTERRUPTED)
     if as_json:
@@ -127,13 +129,21 @@ def _only_recipe(api: Api) -> str:
     return recipes[0]
 
 
-def _follow(api: Api, run_id: str, console: Console) -> dict[str, Any]:
-    """Show a run until it has ended and the cell is READY or LATCHED."""
+def follow(api: Api, run_id: str, console: Console, check: Callable[[], None] = lambda: None) -> dict[str, Any]:
+    """Show a run until it has ended and the cell is READY or LATCHED; return it.
+
+    Args:
+        api: of the cell.
+        run_id: the run to follow.
+        console: that the run is shown on.
+        check: called before each question to the API; it raises where the run cannot be followed any more.
+    """
     view = View(console)
     view.follow_frames(api.url)
     with Live(console=console, refresh_per_second=12, get_renderable=view.render, transient=True):
         heard = time.monotonic()
         while True:
+            check()
             view.take(api.status())
             if view.status["state"] != "UNKNOWN":
                 heard = time.monotonic()

@@ -8,13 +8,14 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from cli.exits import Exit, fail
+from cli.exits import fail
 from cli.live import plain_console
 from service.cell.policies import PolicyRefusedError, PolicyShelf
 from service.commands.configured import ConfigPath, load_cell
 from service.commands.drivers import make_driver
 from service.policy.contract import PolicyContract
 from service.policy.model import Policy, PolicyError
+from wire.exits import Exit
 
 app = typer.Typer(
     add_completion=False,

@@ -7,8 +7,9 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from cli.exits import Exit, fail
+from cli.exits import fail
 from service.commands.configured import ConfigPath
+from wire.exits import Exit
 
 
 def serve(

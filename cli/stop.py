@@ -19,7 +19,8 @@ from urllib.parse import urlsplit
 import typer
 
 from cli.address import DEFAULT_URL, Url, is_address
-from cli.exits import Exit, fail
+from cli.exits import fail
+from wire.exits import Exit
 
 API_S = 4.0
 """Longest wait for the API's answer, s: it takes up to 1 s for the delivery and 1 s for the standstill."""

@@ -6,7 +6,7 @@ The file is `$DSL_ASSEMBLY_CONFIG`, else `cell.toml`, else `config/cell.toml`. A
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, assert_never
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
@@ -14,6 +14,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 
 from service.messages import NAME_PATTERN
 from service.program import PROGRAM
+from wire.endpoints import DEFAULT_ENDPOINT, DEFAULT_WORLD
 from wire.limits import (
     FORCE_HARD_MAXIMUM_N,
     MAX_SPEED,
@@ -25,6 +26,7 @@ from wire.limits import (
     YAW_HALF_RANGE_RAD,
 )
 from wire.modes import LockMode, TimeMode
+from wire.task import Conditions
 
 PATH_VARIABLE = "DSL_ASSEMBLY_CONFIG"
 DEFAULT_PATHS = (Path("cell.toml"), Path("config/cell.toml"))
@@ -202,7 +204,7 @@ class RecipeSection(Section):
     max_steps: Annotated[int, Field(ge=1, le=2000)] | None = None
     success_depth_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 3.0e-3
     retract: bool = True
-    conditions: Literal["standard", "easy", "search", "stiff", "transfer"] = "standard"
+    conditions: Conditions = "standard"
     allow_lock: Annotated[tuple[LockMode, ...], Field(min_length=1)] = ("paper",)
 
 
@@ -216,8 +218,8 @@ class SimSection(Section):
         autostart: whether the control process starts the simulator where none listens, and ends it again.
     """
 
-    world: Name = "world-1"
-    endpoint: Endpoint = "tcp/127.0.0.1:7448"
+    world: Name = DEFAULT_WORLD
+    endpoint: Endpoint = DEFAULT_ENDPOINT
     mode: TimeMode = "real_time"
     autostart: bool = True
 
@@ -360,18 +362,13 @@ class CellConfig(BaseSettings):
     @property
     def sees_hole(self) -> bool:
         """True where something estimates the hole's position: the simulated cell's camera, or that of `[camera]`."""
-        return self.cell.driver == "zenoh_sim" or self.camera is not None
-
-    @property
-    def simulator_arguments(self) -> tuple[str, ...] | None:
-        """Arguments of this project's command for the driver's simulator; None for a real arm."""
-        sim, ur = self.sim, self.ur
-        world = ("--world", sim.world, "--listen", sim.endpoint)
-        if self.cell.driver == "zenoh_sim":
-            return ("sim", "serve", "--mode", sim.mode.replace("_", "-"), *world)
-        if ur is not None and ur.simulated:
-            return ("sim", "ur-controller", "--host", ur.host, *world)
-        return None
+        match self.cell.driver:
+            case "zenoh_sim":
+                return True
+            case "ur":
+                return self.camera is not None
+            case _ as never:
+                assert_never(never)
 
     @classmethod
     def settings_customise_sources(

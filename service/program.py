@@ -68,6 +68,21 @@ class Child:
             )
         return cls(name, process, log)
 
+    def end(self, timeout_s: float) -> bool:
+        """End it: ask by SIGTERM, and kill it if it does not end in time. Blocks until it has ended.
+
+        Returns:
+            True if it ended in time; False if it was killed.
+        """
+        self.process.terminate()
+        try:
+            self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+            return False
+        return True
+
     def ending(self) -> str | None:
         """Say how it ended, with the last line of its log; None while it runs."""
         if self.process.poll() is None:

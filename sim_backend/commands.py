@@ -32,14 +32,10 @@ from wire.endpoints import (
     check_endpoint,
     check_host,
 )
+from wire.exits import Exit
 from wire.realtime import request_realtime
 from wire.session import open_session
 from wire.task import Part, Task
-
-EXIT_USAGE = 2
-"""The request cannot be met as stated: a bad option, a port in use."""
-EXIT_NO_RENDERING = 3
-"""This machine lacks what rendering needs."""
 
 app = typer.Typer(
     add_completion=False,
@@ -73,7 +69,7 @@ def serve(
         refused = request_realtime() if mode is Pace.REAL_TIME else ()
         session = _open_session(endpoints, connect or [], allow_remote=allow_remote)
     except ValueError as error:
-        _fail(str(error), EXIT_USAGE)
+        _fail(str(error), Exit.USAGE)
     with session:
         cell = SimulatedCell(task.part)
         cell.reset(task)
@@ -82,7 +78,7 @@ def serve(
         try:
             server = Server(cell, session, world, mode, refused)
         except ValueError as error:
-            _fail(str(error), EXIT_USAGE)
+            _fail(str(error), Exit.USAGE)
         typer.echo(f"ready world={world} mode={mode} epoch={cell.epoch} listen={','.join(endpoints)}")
         sys.stdout.flush()
         server.run()
@@ -128,7 +124,7 @@ def ur_controller(
             )
             surroundings = Surroundings(controller, server, session, world, refused) if session is not None else None
         except (OSError, ValueError) as error:
-            _fail(str(error), EXIT_USAGE)
+            _fail(str(error), Exit.USAGE)
         if surroundings is not None:
             stack.enter_context(contextlib.closing(surroundings))
         for line in refused:
@@ -167,9 +163,9 @@ def render(
             picture = renderer.draw(cell.model(), cell.data(), camera)
         rendering.write_png(out, picture)
     except rendering.RenderingUnavailableError as error:
-        _fail(str(error), EXIT_NO_RENDERING)
+        _fail(str(error), Exit.HOST)
     except (ValueError, OSError) as error:
-        _fail(str(error), EXIT_USAGE)
+        _fail(str(error), Exit.USAGE)
     typer.echo(f"wrote {out} ({width}x{height}, {camera})")
 
 
@@ -199,6 +195,6 @@ def _exit_on_signals() -> None:
     signal.signal(signal.SIGTERM, leave)
 
 
-def _fail(text: str, code: int) -> NoReturn:
+def _fail(text: str, code: Exit) -> NoReturn:
     typer.echo(f"sim: {text}", err=True)
     raise typer.Exit(code)

@@ -1,4 +1,4 @@
-"""Names of the array types that the whole project uses. The declaration of an array states its shape, frame, unit."""
+"""Names of the array and tuple types that the whole project uses. A declaration states shape, frame and unit."""
 
 from typing import Any
 
@@ -13,3 +13,7 @@ CellIndices = npt.NDArray[np.int64]
 """(k,) indices of cells within a batch."""
 RecordArray = npt.NDArray[Any]
 """Structured array of the simulated cell's records, `wire.records`."""
+Six = tuple[float, float, float, float, float, float]
+"""One number per axis: x, y, z, then the rotations about them."""
+Corner = tuple[float, float, float]
+"""Corner of a box: x, y, z."""

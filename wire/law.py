@@ -3,10 +3,8 @@
 from dataclasses import dataclass, fields
 from math import inf
 
+from wire.arrays import Corner, Six
 from wire.limits import MAX_SPEED, MAX_STEP, TARGET_AGE_S
-
-Six = tuple[float, float, float, float, float, float]
-Corner = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,7 +113,7 @@ class ControlPlane:
         return await self._cell.reset(request)
 
     async def _runs(self, request: RunsRequest) -> Message:
-        return RunsResult(runs=self._cell.runs.newest(request.limit, request.before))
+        return RunsResult(runs=self._cell.journal.newest(request.limit, request.before))
 
     async def _run(self, request: RunRequest) -> Message:
         run = self._cell.runs.find(request.run_id)

@@ -2,15 +2,21 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import inf
 from typing import Self
 
-from service.config import CellConfig, RecipeSection
+from service.config import CellConfig, LimitsSection, RecipeSection
 from service.policy.contract import PolicyContract
 from service.policy.observation import ENTRIES, Need
 from wire.modes import LockMode
 
-Six = tuple[float, float, float, float, float, float]
+EVERY_CELL_OFFERS = frozenset({Need.FORCE_TORQUE, Need.LAST_JOINT})
+"""What each driver's samples have; the estimate of the hole depends on the configuration."""
+
+_NAMES = {
+    Need.FORCE_TORQUE: "a force/torque sensor",
+    Need.HOLE: "a camera's estimate of the hole",
+    Need.LAST_JOINT: "joint angles",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,43 +27,17 @@ class CellCapabilities:
         tick_s: period of its control law, s.
         part: part that the recipe assembles.
         clearance_m: clearance per face, if known.
-        camera: whether it has an estimate of the hole's position.
-        force_torque: whether it has a force/torque sensor.
-        last_joint: whether it reports joint angles.
-        stiffness_max: largest stiffness that its law runs, N/m and N·m/rad.
-        damping_min: least damping, N·s/m and N·m·s/rad.
-        inertia_min: least inertia, kg and kg·m².
         locks: modes of the lock that the recipe allows.
-        press_max_m: largest depth that the lock may press below the height of a contact, m.
-        damping_max: largest damping, N·s/m and N·m·s/rad.
-        inertia_max: largest inertia, kg and kg·m².
-        contact_max_n: largest force at which the lock may take something for a contact, N.
-        contact_max_nm: the same for torque, N·m.
-        seek_step_max_m: largest step downwards while the lock seeks, m.
-        lift_max_m: largest height above the first contact that the lock may rise to, m.
-        search_depth_max_m: largest depth of one stretch of search for contact, m.
-        search_steps_max: largest length of one, policy steps.
+        offers: what it measures.
+        limits: limits that no policy may exceed.
     """
 
     tick_s: float
     part: str
     clearance_m: float | None
-    camera: bool
-    force_torque: bool
-    last_joint: bool
-    stiffness_max: Six
-    damping_min: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    inertia_min: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    locks: tuple[LockMode, ...] = ("paper",)
-    press_max_m: float = 5e-3
-    damping_max: Six = (inf, inf, inf, inf, inf, inf)
-    inertia_max: Six = (inf, inf, inf, inf, inf, inf)
-    contact_max_n: float = inf
-    contact_max_nm: float = inf
-    seek_step_max_m: float = inf
-    lift_max_m: float = inf
-    search_depth_max_m: float = inf
-    search_steps_max: float = inf
+    locks: tuple[LockMode, ...]
+    offers: frozenset[Need]
+    limits: LimitsSection
 
     @classmethod
     def of(cls, config: CellConfig, recipe: RecipeSection, tick_s: float) -> Self:
@@ -68,27 +48,14 @@ class CellCapabilities:
             recipe: one of the cell's.
             tick_s: period of the driver's samples.
         """
-        limits = config.limits
+        camera = {Need.HOLE} if config.sees_hole else set[Need]()
         return cls(
             tick_s=tick_s,
             part=recipe.part,
             clearance_m=recipe.clearance_m,
-            camera=config.sees_hole,
-            force_torque=True,
-            last_joint=True,
-            stiffness_max=limits.max_stiffness,
-            damping_min=limits.min_damping,
-            inertia_min=limits.min_inertia,
             locks=recipe.allow_lock,
-            press_max_m=limits.max_press_m,
-            damping_max=limits.max_damping,
-            inertia_max=limits.max_inertia,
-            contact_max_n=limits.max_contact_share * limits.force_ceiling_n,
-            contact_max_nm=limits.max_contact_share * limits.torque_ceiling_nm,
-            seek_step_max_m=limits.max_seek_step_m,
-            lift_max_m=limits.max_lift_m,
-            search_depth_max_m=limits.max_search_depth_m,
-            search_steps_max=limits.max_search_steps,
+            offers=EVERY_CELL_OFFERS | camera,
+            limits=config.limits,
         )
 
 
@@ -120,48 +87,42 @@ def _beyond_task(contract: PolicyContract, cell: CellCapabilities) -> Iterator[s
 
 def _beyond_sensors(contract: PolicyContract, cell: CellCapabilities) -> Iterator[str]:
     """Yield observations that the cell cannot make."""
-    offered = {
-        Need.FORCE_TORQUE: (cell.force_torque, "a force/torque sensor"),
-        Need.HOLE: (cell.camera or contract.mode == "FTM", "a camera's estimate of the hole"),
-        Need.LAST_JOINT: (cell.last_joint, "joint angles"),
-    }
+    offered = cell.offers if contract.uses_estimate else cell.offers | {Need.HOLE}
     for entry in contract.observation:
-        for need in sorted(ENTRIES[entry.name].needs):
-            has, thing = offered[need]
-            if not has:
-                yield f"observation entry {entry.name!r} needs {thing}, which the cell does not have"
+        for need in sorted(ENTRIES[entry.name].needs - offered):
+            yield f"observation entry {entry.name!r} needs {_NAMES[need]}, which the cell does not have"
 
 
 def _beyond_mode(contract: PolicyContract, cell: CellCapabilities) -> Iterator[str]:
     """Yield conflicts about the lock's mode and press."""
     lock = contract.dsl
-    if lock.mode != "off" and not cell.force_torque:
+    if lock.mode != "off" and Need.FORCE_TORQUE not in cell.offers:
         yield f"the safety lock in mode {lock.mode!r} needs a force/torque sensor"
     if lock.mode not in cell.locks:
         yield (
             f"the safety lock is in mode {lock.mode!r}, this recipe runs {', '.join(cell.locks)}: "
             "allow_lock of the recipe says which"
         )
-    if lock.press_m > cell.press_max_m:
-        yield f"dsl.press_m is {lock.press_m * 1e3:g} mm, the cell presses at most {cell.press_max_m * 1e3:g} mm"
+    if lock.press_m > (most := cell.limits.max_press_m):
+        yield f"dsl.press_m is {lock.press_m * 1e3:g} mm, the cell presses at most {most * 1e3:g} mm"
 
 
 def _beyond_law(contract: PolicyContract, cell: CellCapabilities) -> Iterator[str]:
     """Yield numbers of the compliance law outside the cell's range."""
-    law = contract.compliance
+    law, limits = contract.compliance, cell.limits
     for name, wanted, least in (
-        ("damping", law.damping, cell.damping_min),
-        ("inertia", law.inertia, cell.inertia_min),
+        ("damping", law.damping, limits.min_damping),
+        ("inertia", law.inertia, limits.min_inertia),
     ):
         for axis, (want, limit) in enumerate(zip(wanted, least, strict=True)):
             if want < limit:
                 yield f"compliance.{name}[{axis}] is {want:g}, the cell runs at least {limit:g}"
-    for axis, (want, limit) in enumerate(zip(law.stiffness, cell.stiffness_max, strict=True)):
+    for axis, (want, limit) in enumerate(zip(law.stiffness, limits.max_stiffness, strict=True)):
         if want > limit:
             yield f"compliance.stiffness[{axis}] is {want:g}, the cell runs at most {limit:g}"
     for name, wanted, most in (
-        ("damping", law.damping, cell.damping_max),
-        ("inertia", law.inertia, cell.inertia_max),
+        ("damping", law.damping, limits.max_damping),
+        ("inertia", law.inertia, limits.max_inertia),
     ):
         for axis, (want, limit) in enumerate(zip(wanted, most, strict=True)):
             if want > limit:
@@ -170,13 +131,14 @@ def _beyond_law(contract: PolicyContract, cell: CellCapabilities) -> Iterator[st
 
 def _beyond_lock(contract: PolicyContract, cell: CellCapabilities) -> Iterator[str]:
     """Yield constants with which the lock would not protect."""
-    lock = contract.dsl
+    lock, limits = contract.dsl, cell.limits
     if lock.mode == "off":
         return
-    for clip, value, most, unit in (
-        ("force_clip_n", lock.force_clip_n, cell.contact_max_n, "N"),
-        ("torque_clip_nm", lock.torque_clip_nm, cell.contact_max_nm, "N·m"),
+    for clip, value, ceiling, unit in (
+        ("force_clip_n", lock.force_clip_n, limits.force_ceiling_n, "N"),
+        ("torque_clip_nm", lock.torque_clip_nm, limits.torque_ceiling_nm, "N·m"),
     ):
+        most = limits.max_contact_share * ceiling
         threshold = lock.contact_threshold * value
         if threshold > most:
             yield (
@@ -184,10 +146,10 @@ def _beyond_lock(contract: PolicyContract, cell: CellCapabilities) -> Iterator[s
                 f"ceiling is {most:.3g} {unit}"
             )
     for name, want, field, limit in (
-        ("seek_step_m", lock.seek_step_m, "max_seek_step_m", cell.seek_step_max_m),
-        ("lift_max_m", lock.lift_max_m, "max_lift_m", cell.lift_max_m),
-        ("search_depth_m", lock.search_depth_m, "max_search_depth_m", cell.search_depth_max_m),
-        ("search_steps", lock.search_steps, "max_search_steps", cell.search_steps_max),
+        ("seek_step_m", lock.seek_step_m, "max_seek_step_m", limits.max_seek_step_m),
+        ("lift_max_m", lock.lift_max_m, "max_lift_m", limits.max_lift_m),
+        ("search_depth_m", lock.search_depth_m, "max_search_depth_m", limits.max_search_depth_m),
+        ("search_steps", lock.search_steps, "max_search_steps", limits.max_search_steps),
     ):
         if want > limit:
             yield f"dsl.{name} is {want:g}, limits.{field} of the cell is {limit:g}"
@@ -195,7 +157,7 @@ def _beyond_lock(contract: PolicyContract, cell: CellCapabilities) -> Iterator[s
 
 def _without_camera(contract: PolicyContract, cell: CellCapabilities) -> Iterator[str]:
     """Yield the remedy where the approach needs an estimate of the hole that the cell does not have."""
-    if contract.mode != "FTM" and not cell.camera:
+    if contract.uses_estimate and Need.HOLE not in cell.offers:
         yield (
             f"mode {contract.mode} goes by a camera's estimate of the hole: describe the camera under [camera], "
             "or take a policy of mode FTM"

@@ -93,10 +93,8 @@ class Insertion:
         self._window: deque[FloatArray] = deque(maxlen=max(plan.step.ticks, plan.preflight.window_samples))
         self._estimates: list[FloatArray] = []
         self._hole = plan.nominal_hole
-        self._target = plan.start_position
-        self._target_yaw = plan.start_yaw
         self._waypoints: list[FloatArray] = []
-        self._path = StraightPath(plan.start_position, [], 0.0, np.inf)
+        self._path = StraightPath(plan.start_position, plan.start_yaw, [], 0.0, np.inf)
         self._state = plan.step.begin(plan.start_position, plan.start_yaw)
         self._asked: Asked | None = None
         self._outrageous = 0
@@ -120,6 +118,12 @@ class Insertion:
     def phase(self) -> str | None:
         """Phase of the lock at the last policy step."""
         return None if self.last is None else dsl.Phase(int(self.last.dsl.phase)).name
+
+    @property
+    def z_lock_m(self) -> float | None:
+        """Height of the lock at the last policy step; None without a lock."""
+        lock = None if self.last is None else float(self.last.dsl.z_lock)
+        return lock if lock is not None and np.isfinite(lock) else None
 
     def duration_s(self, now_s: float) -> float:
         """Return the time since the first approach move, on the samples' clock."""
@@ -147,8 +151,7 @@ class Insertion:
             return
         driven = self._stage in (Stage.APPROACHING, Stage.INSERTING, Stage.RETRACTING)
         if (halt := why_not_drive(sample, engaged=driven)) is not None:
-            self._ended = True
-            yield halt
+            yield self._halt(halt.code, halt.text)
             return
         self._window.append(sample.wrench)
         if self._stage_seq < 0:
@@ -226,46 +229,31 @@ class Insertion:
             if not self._estimates:
                 return "the policy needs the camera's estimate of the hole, and there is none: check the camera"
             self._hole = np.mean(self._estimates, axis=0)
-            if (text := self._strays(self._hole)) is not None:
+            if (text := plan.why_not_hole(self._hole)) is not None:
                 return text
         above = self._hole + np.array([0.0, 0.0, plan.hover_m])
         safe_z = max(sample.tcp_position[2], above[2]) + SAFE_RISE_M
-        self._waypoints = [
-            np.array([*sample.tcp_position[:2], safe_z]),
-            np.array([*above[:2], safe_z]),
-            above,
-        ]
+        self._waypoints = [*(np.array([*end[:2], safe_z]) for end in (sample.tcp_position, above)), above]
         lower, upper = plan.limits.workspace
         for point in self._waypoints:
             if not ((point >= lower) & (point <= upper)).all():
                 return f"the way to the hole leads to {np.round(point, 4).tolist()} m, outside the workspace"
         return None
 
-    def _strays(self, estimate: FloatArray) -> str | None:
-        """Return why an estimate cannot be the recipe's hole; None where it can."""
-        plan = self._plan
-        offset = estimate - plan.nominal_hole
-        if (np.abs(offset) <= plan.max_hole_offset).all():
-            return None
-        way = f"{np.round(offset * 1e3, 1).tolist()} mm from the recipe's hole"
-        return f"the camera sees the hole {way}, limit {(plan.max_hole_offset * 1e3).tolist()} mm"
-
     def _await_engaged(self, sample: Sample) -> Iterator[Order]:
         if sample.program is Program.ENGAGED:
-            self._target, self._target_yaw = sample.tcp_position, float(yaw_and_tilt(sample.tcp_rotvec)[0])
-            self._path = self._plan_path(self._waypoints, sample)
+            self._path = self._plan_path(self._waypoints, self._plan.start_yaw, sample)
             self._go(Stage.APPROACHING, sample)
         elif sample.seq - self._stage_seq > ENGAGE_TICKS:
-            self._ended = True
-            yield Halt(FaultCode.LINK, "the arm did not engage: does another client hold it?")
+            yield self._halt(FaultCode.LINK, "the arm did not engage: does another client hold it?")
 
     def _approach(self, sample: Sample) -> Iterator[Order]:
         if (sample.seq - self._stage_seq) % APPROACH_TICKS == 0:
-            yield self._move(self._advance_path(sample), self._plan.start_yaw)
+            yield self._advance_path(sample)
         match self._path.progress(sample):
             case Progress.ARRIVED:
                 self._go(Stage.INSERTING, sample)
-                self._state = self._plan.step.begin(self._target, self._target_yaw)
+                self._state = self._plan.step.begin(self._path.target, self._path.yaw)
                 yield from self._observe(sample)
             case Progress.OVERDUE:
                 yield from self._fail(FaultCode.BOUNDS, "the arm did not arrive above the hole: is the way clear?")
@@ -276,9 +264,8 @@ class Insertion:
         ticks = sample.seq - self._stage_seq
         if self._asked is not None:
             if sample.time_s - self._asked.sample.time_s >= self._plan.policy_deadline_s:
-                self._ended = True
                 text = f"no action within {self._plan.policy_deadline_s * 1e3:g} ms; the last target was held"
-                yield Halt(FaultCode.POLICY_DEADLINE, text)
+                yield self._halt(FaultCode.POLICY_DEADLINE, text)
         elif ticks >= self._plan.step.ticks:
             # A late action does not shorten the next step
             late = ticks >= 2 * self._plan.step.ticks
@@ -287,27 +274,23 @@ class Insertion:
 
     def _retract(self, sample: Sample) -> Iterator[Order]:
         if (sample.seq - self._stage_seq) % APPROACH_TICKS == 0:
-            yield self._move(self._advance_path(sample), self._target_yaw)
+            yield self._advance_path(sample)
         # A peg that sticks does not fail the run: the operator sees it, and the arm stands still in either case
         if self._path.progress(sample) is not Progress.UNDER_WAY:
-            self._ended = True
-            self._ended_s = sample.time_s
-            yield Disengage()
+            yield self._disengage(sample.time_s)
 
     # --- one policy step
 
     def _observe(self, sample: Sample) -> Iterator[Order]:
-        estimate = sample.hole_estimate
+        plan, estimate = self._plan, sample.hole_estimate
         # A missing estimate is not a fault: the tool may hide the hole; the policy then uses the mean of earlier ones
-        if self._plan.uses_estimate and estimate is not None and (text := self._strays(estimate)) is not None:
-            self._ended = True
-            yield Halt(FaultCode.BOUNDS, text)
+        if plan.uses_estimate and estimate is not None and (text := plan.why_not_hole(estimate)) is not None:
+            yield self._halt(FaultCode.BOUNDS, text)
             return
         seen = self._see(sample)
-        self._state, observation = self._plan.step.observe(self._state, seen)
+        self._state, observation = plan.step.observe(self._state, seen)
         if not np.isfinite(observation).all():
-            self._ended = True
-            yield Halt(FaultCode.SENSOR_INVALID, "an observation of the policy is not known: check the camera")
+            yield self._halt(FaultCode.SENSOR_INVALID, "an observation of the policy is not known: check the camera")
             return
         self._asked = Asked(sample, seen, observation)
         yield Infer(observation)
@@ -328,16 +311,15 @@ class Insertion:
     def _act(self, asked: Asked, action: FloatArray) -> Iterator[Order]:
         plan, sample = self._plan, asked.sample
         if not np.isfinite(action).all():
-            self._ended = True
-            yield Halt(FaultCode.POLICY_INVALID, f"the policy answered {action.tolist()}; nothing was sent")
+            yield self._halt(FaultCode.POLICY_INVALID, f"the policy answered {action.tolist()}; nothing was sent")
             return
         self._state, decision = plan.step.act(self._state, asked.seen, action)
         bounded = decision.bounded
         if bool(bounded.invalid):
-            self._ended = True
-            yield Halt(FaultCode.POLICY_INVALID, f"the action {action.tolist()} leads to no pose; nothing was sent")
+            text = f"the action {action.tolist()} leads to no pose; nothing was sent"
+            yield self._halt(FaultCode.POLICY_INVALID, text)
             return
-        order = self._move(bounded.position, float(bounded.yaw))
+        order = _move(bounded.position, float(bounded.yaw))
         depth = self._depth(sample)
         self.last = TickRecord(
             step=self.steps,
@@ -352,18 +334,16 @@ class Insertion:
         )
         self.steps += 1
         if bool(bounded.tilt):
-            self._ended = True
             lean = float(np.linalg.norm(asked.seen.tilt))
             text = f"the tool is tilted by {lean:.3f} rad, limit {plan.step.bounds.tilt_rad:g} rad; nothing was sent"
-            yield Halt(FaultCode.BOUNDS, text)
+            yield self._halt(FaultCode.BOUNDS, text)
             return
         excess, change = float(plan.step.actions.excess(action)), float(bounded.excess)
         outrageous = excess > OUTRAGEOUS_ACTION or change > OUTRAGEOUS_CHANGE
         self._outrageous = self._outrageous + 1 if outrageous else 0
         if self._outrageous >= plan.clamped_steps:
-            self._ended = True
             text = f"an action of {excess:.3g} times its limit, a change of {change:.3g} times the allowed one"
-            yield Halt(FaultCode.BOUNDS, f"{self._outrageous} outrageous steps in a row, the last with {text}")
+            yield self._halt(FaultCode.BOUNDS, f"{self._outrageous} outrageous steps in a row, the last with {text}")
             return
         yield order
         yield from self._judge(sample, decision.locked, depth)
@@ -394,26 +374,31 @@ class Insertion:
 
     # --- ends
 
+    def _halt(self, code: FaultCode, text: str) -> Halt:
+        self._ended = True
+        return Halt(code, text)
+
+    def _disengage(self, ended_s: float | None) -> Disengage:
+        self._ended, self._ended_s = True, ended_s
+        return Disengage()
+
     def _fail(self, code: FaultCode, text: str, sample: Sample | None = None) -> Iterator[Order]:
         yield Fail(code, text)
         if self._stage in (Stage.APPROACHING, Stage.INSERTING):
             yield from self._begin_retract(sample)
         else:
-            self._ended = True
-            yield Disengage()
+            yield self._disengage(None)
 
     def _begin_retract(self, sample: Sample | None) -> Iterator[Order]:
         self._stage = Stage.RETRACTING
         if sample is None or not self._plan.retract:
-            self._ended = True
-            self._ended_s = None if sample is None else sample.time_s
-            yield Disengage()
+            yield self._disengage(None if sample is None else sample.time_s)
             return
         # From the measured pose, not from the last target: a peg that is twisted in its hole does not come out
-        self._target, self._target_yaw = sample.tcp_position, float(yaw_and_tilt(sample.tcp_rotvec)[0])
         top = min(self._hole[2] + self._plan.hover_m, self._plan.limits.workspace[1][2])
-        height = max(float(top), float(self._target[2]))
-        self._path = self._plan_path([np.array([*self._target[:2], height])], sample)
+        height = max(float(top), float(sample.tcp_position[2]))
+        yaw = float(yaw_and_tilt(sample.tcp_rotvec)[0])
+        self._path = self._plan_path([np.array([*sample.tcp_position[:2], height])], yaw, sample)
         self._go(Stage.RETRACTING, sample)
 
     # --- small parts
@@ -421,13 +406,14 @@ class Insertion:
     def _go(self, stage: Stage, sample: Sample) -> None:
         self._stage, self._stage_seq = stage, sample.seq
 
-    def _plan_path(self, waypoints: list[FloatArray], sample: Sample) -> StraightPath:
-        period_s = APPROACH_TICKS * self._plan.tick_s
-        return StraightPath.plan(self._target, waypoints, self._plan.approach_speed_m_s, period_s, sample.time_s)
+    def _plan_path(self, waypoints: list[FloatArray], yaw: float, sample: Sample) -> StraightPath:
+        """Lay out a path from where the arm is measured."""
+        period_s, speed_m_s = APPROACH_TICKS * self._plan.tick_s, self._plan.approach_speed_m_s
+        return StraightPath.plan(sample.tcp_position, yaw, waypoints, speed_m_s, period_s, sample.time_s)
 
-    def _advance_path(self, sample: Sample) -> FloatArray:
-        return self._path.advance(sample.tcp_position, self._plan.step.bounds.leash_m)
+    def _advance_path(self, sample: Sample) -> Move:
+        return _move(self._path.advance(sample.tcp_position, self._plan.step.bounds.leash_m), self._path.yaw)
 
-    def _move(self, position: FloatArray, yaw: float) -> Move:
-        self._target, self._target_yaw = position, yaw
-        return Move(PoseTarget(position, rotvec_from_yaw(yaw)))
+
+def _move(position: FloatArray, yaw: float) -> Move:
+    return Move(PoseTarget(position, rotvec_from_yaw(yaw)))

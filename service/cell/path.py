@@ -29,24 +29,33 @@ class StraightPath:
 
     Attributes:
         target: (3,) m, the target in force.
+        yaw: kept all the way.
         waypoints: (3,) m each, still ahead.
         step_m: distance between two targets.
         deadline_s: latest arrival, on the samples' clock.
     """
 
     target: FloatArray
+    yaw: float
     waypoints: list[FloatArray]
     step_m: float
     deadline_s: float
 
     @classmethod
     def plan(
-        cls, start: FloatArray, waypoints: Sequence[FloatArray], speed_m_s: float, period_s: float, now_s: float
+        cls,
+        start: FloatArray,
+        yaw: float,
+        waypoints: Sequence[FloatArray],
+        speed_m_s: float,
+        period_s: float,
+        now_s: float,
     ) -> "StraightPath":
         """Lay out a path.
 
         Args:
             start: (3,) m, the target in force.
+            yaw: kept all the way.
             waypoints: (3,) m each, in order.
             speed_m_s: of the target.
             period_s: time between two calls of `advance`.
@@ -55,7 +64,7 @@ class StraightPath:
         corners = [start, *waypoints]
         length = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(corners))
         deadline = now_s + 2.0 * length / speed_m_s + PATIENCE_S
-        return cls(start.copy(), [point.copy() for point in waypoints], speed_m_s * period_s, deadline)
+        return cls(start.copy(), yaw, [point.copy() for point in waypoints], speed_m_s * period_s, deadline)
 
     def advance(self, measured: FloatArray, leash_m: float) -> FloatArray:
         """Advance the target by one step, unless it would lead the arm by more than the leash; return it, (3,) m.

@@ -55,6 +55,18 @@ class Plan:
     preflight: PreflightParameters
     step: PolicyStep
 
+    def why_not_hole(self, estimate: FloatArray) -> str | None:
+        """Return why an estimate cannot be the recipe's hole; None where it can.
+
+        Args:
+            estimate: (3,) m, base frame, from the camera.
+        """
+        offset = estimate - self.nominal_hole
+        if (np.abs(offset) <= self.max_hole_offset).all():
+            return None
+        way = f"{np.round(offset * 1e3, 1).tolist()} mm from the recipe's hole"
+        return f"the camera sees the hole {way}, limit {(self.max_hole_offset * 1e3).tolist()} mm"
+
 
 def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyContract) -> Plan:
     """Plan an insertion by a recipe, the cell's limits and a policy's contract."""
@@ -78,7 +90,7 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         start_yaw=recipe.start_yaw_rad,
         nominal_hole=np.array(recipe.nominal_hole_m),
         max_hole_offset=np.array(limits.max_hole_offset_m),
-        uses_estimate=contract.mode != "FTM",
+        uses_estimate=contract.uses_estimate,
         hover_m=recipe.hover_m,
         approach_speed_m_s=recipe.approach_speed_m_s,
         max_steps=contract.max_steps if recipe.max_steps is None else min(recipe.max_steps, contract.max_steps),

@@ -5,7 +5,6 @@ import numpy as np
 from service.cell.insertion import Insertion
 from service.drivers.base import Sample
 from service.messages import CellState, Measured, Telemetry
-from service.safety.dsl import Phase
 from service.safety.stop import STANDSTILL_M_S, STANDSTILL_RAD_S
 
 
@@ -42,17 +41,15 @@ def telemetry(
     sample: Sample, force_peak_n: float, state: CellState, insertion: Insertion | None, run_id: str | None
 ) -> Telemetry:
     """Return one point of the live plot; `force_peak_n` is the peak of all samples since the last point."""
-    record = None if insertion is None else insertion.last
-    z_lock = None if record is None else float(record.dsl.z_lock)
     return Telemetry(
         t=sample.time_s,
         force_n=_three(sample.wrench),
         force_magnitude_n=float(np.linalg.norm(sample.wrench[:3])),
         force_peak_n=force_peak_n,
         tcp_z_m=float(sample.tcp_position[2]),
-        z_lock_m=z_lock if z_lock is not None and np.isfinite(z_lock) else None,
-        depth_m=None if record is None else record.depth_m,
-        phase=None if record is None else Phase(int(record.dsl.phase)).name,
+        z_lock_m=None if insertion is None else insertion.z_lock_m,
+        depth_m=None if insertion is None else insertion.depth_m,
+        phase=None if insertion is None else insertion.phase,
         state=state,
         run_id=run_id,
     )

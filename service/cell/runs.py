@@ -153,7 +153,11 @@ class ActiveRun:
             self._follow(insertion.stage)
 
     def _follow(self, stage: Stage) -> None:
-        """Bring the cell into the state that belongs to the stage."""
+        """Bring the cell into the state that belongs to the stage.
+
+        It is entered at this point among the orders, and not derived from the stage, because the cell tells each change
+        of state between the order before it and the one after it.
+        """
         state = STATE_IN[stage]
         if state is not self._host.state:
             self._host.enter(state)
@@ -268,7 +272,3 @@ class Runs:
         if self.active is not None and self.active.accepted.idempotency_key == idempotency_key:
             return self.active.accepted
         return self._journal.find_key(idempotency_key)
-
-    def newest(self, limit: int, before: str | None = None) -> tuple[Run, ...]:
-        """Return up to `limit` recorded runs, newest first; only those older than `before` where it is known."""
-        return self._journal.newest(limit, before)

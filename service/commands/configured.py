@@ -7,10 +7,7 @@ import typer
 
 from service.config import CellConfig, ConfigError, UrSection, load
 from service.logs import configure_logs
-
-EXIT_FAILED = 1
-EXIT_CONFIG = 2
-EXIT_HOST = 3
+from wire.exits import Exit
 
 ConfigPath = Annotated[
     Path | None,
@@ -25,12 +22,12 @@ def load_cell(path: Path | None) -> CellConfig:
         return load(path)
     except ConfigError as error:
         typer.echo(str(error), err=True)
-        raise typer.Exit(EXIT_CONFIG) from error
+        raise typer.Exit(Exit.USAGE) from error
 
 
 def ur_section(cell: CellConfig) -> UrSection:
     """Return the section of the UR arm; a cell without one ends the command."""
     if cell.ur is None or cell.cell.driver != "ur":
         typer.echo('this cell has no UR arm: set cell.driver = "ur" and describe it under [ur]', err=True)
-        raise typer.Exit(EXIT_CONFIG)
+        raise typer.Exit(Exit.USAGE)
     return cell.ur

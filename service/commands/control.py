@@ -1,13 +1,16 @@
 """`control`: the control process of one cell, with its simulator where the configuration asks for one."""
 
 import asyncio
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
+from typing import assert_never
 
 import typer
 
-from service.commands.configured import EXIT_HOST, ConfigPath, load_cell
+from service.commands.configured import ConfigPath, load_cell, ur_section
 from service.config import CellConfig
 from service.drivers.sim_process import Simulator, simulator
+from wire.exits import Exit
 
 
 def control(config: ConfigPath = None) -> None:
@@ -18,16 +21,31 @@ def control(config: ConfigPath = None) -> None:
             _run(cell, world)
     except OSError as error:
         typer.echo(f"the control process cannot run: {error}", err=True)
-        raise typer.Exit(EXIT_HOST) from error
+        raise typer.Exit(Exit.HOST) from error
 
 
 def _world(cell: CellConfig) -> AbstractContextManager[Simulator]:
     """Start the driver's simulator where the configuration asks for it."""
-    arguments, ur = cell.simulator_arguments, cell.ur
-    if arguments is None or not cell.sim.autostart:
+    if not cell.sim.autostart or (process := _simulator_of(cell)) is None:
         return nullcontext(Simulator())
-    robot = [f"tcp/{ur.host}:{ur.rtde_port}"] if ur is not None and cell.cell.driver == "ur" else []
-    return simulator(arguments, [*robot, cell.sim.endpoint], cell.cell.state_dir / "logs" / "simulator.log")
+    arguments, endpoints = process
+    return simulator(arguments, endpoints, cell.cell.state_dir / "logs" / "simulator.log")
+
+
+def _simulator_of(cell: CellConfig) -> tuple[Sequence[str], Sequence[str]] | None:
+    """Return the simulator's arguments and the endpoints at which it listens; None for a real arm."""
+    sim = cell.sim
+    world = ("--world", sim.world, "--listen", sim.endpoint)
+    match cell.cell.driver:
+        case "zenoh_sim":
+            return ("sim", "serve", "--mode", sim.mode.replace("_", "-"), *world), (sim.endpoint,)
+        case "ur":
+            ur = ur_section(cell)
+            if not ur.simulated:
+                return None
+            return ("sim", "ur-controller", "--host", ur.host, *world), (f"tcp/{ur.host}:{ur.rtde_port}", sim.endpoint)
+        case _ as never:
+            assert_never(never)
 
 
 def _run(cell: CellConfig, world: Simulator) -> None:

@@ -1,10 +1,11 @@
 """The driver of the configured cell."""
 
 import time
+from typing import assert_never
 
 import typer
 
-from service.commands.configured import EXIT_CONFIG
+from service.commands.configured import ur_section
 from service.config import CellConfig
 from service.drivers.base import Driver
 from service.drivers.camera import ZenohCamera
@@ -12,17 +13,26 @@ from service.drivers.ur.driver import UrDriver
 from service.drivers.ur.program import ProgramError
 from service.drivers.world_setup import ZenohWorldSetup
 from service.drivers.zenoh_sim import ZenohSimDriver
+from wire.exits import Exit
 
 
 def make_driver(cell: CellConfig) -> Driver:
     """Make the driver that the configuration names; it opens nothing until it is connected."""
+    match cell.cell.driver:
+        case "zenoh_sim":
+            return ZenohSimDriver(cell.sim.world, [cell.sim.endpoint], cell.sim.mode)
+        case "ur":
+            return _make_ur_driver(cell)
+        case _ as never:
+            assert_never(never)
+
+
+def _make_ur_driver(cell: CellConfig) -> UrDriver:
     sim, view = cell.sim, cell.camera
-    if cell.ur is None or cell.cell.driver != "ur":
-        return ZenohSimDriver(sim.world, [sim.endpoint], sim.mode)
     camera = None if view is None else ZenohCamera(view.endpoint, view.key, view.max_age_s, time.monotonic)
-    world_setup = ZenohWorldSetup(sim.world, [sim.endpoint]) if cell.ur.simulated else None
+    world_setup = ZenohWorldSetup(sim.world, [sim.endpoint]) if ur_section(cell).simulated else None
     try:
         return UrDriver(cell, camera=camera, world_setup=world_setup)
     except ProgramError as error:
         typer.echo(str(error), err=True)
-        raise typer.Exit(EXIT_CONFIG) from error
+        raise typer.Exit(Exit.USAGE) from error

@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.commands.configured import EXIT_CONFIG, EXIT_FAILED, ConfigPath, load_cell, ur_section
+from service.commands.configured import ConfigPath, load_cell, ur_section
 from service.commands.drivers import make_driver
 from service.drivers.base import DriverError, Sample
 from service.drivers.ur import gate, recovery
@@ -19,6 +19,7 @@ from service.drivers.ur.dashboard import DashboardError
 from service.drivers.ur.driver import UrDriver
 from service.drivers.ur.gripper import Gripper, GripperError, GripperStatus
 from service.faults import FaultCode
+from wire.exits import Exit
 
 T = TypeVar("T")
 
@@ -34,7 +35,7 @@ def check(config: ConfigPath = None) -> None:
     ur_section(cell)
     driver = make_driver(cell)
     if not isinstance(driver, UrDriver):
-        raise typer.Exit(EXIT_CONFIG)
+        raise typer.Exit(Exit.USAGE)
     failure = _do(lambda: _pass_gate(driver))
     table = Table("check", "verdict", "measured", "what to do")
     for line in driver.checks:
@@ -44,7 +45,7 @@ def check(config: ConfigPath = None) -> None:
     if failure is not None:
         typer.echo(failure, err=True)
     if failure is not None or any(line.verdict is not gate.Verdict.PASSED for line in driver.checks):
-        raise typer.Exit(EXIT_FAILED)
+        raise typer.Exit(Exit.FAILED)
 
 
 @app.command()
@@ -129,4 +130,4 @@ def _do(errand: Callable[[], Coroutine[Any, Any, T]]) -> T:
         return asyncio.run(errand())
     except (DashboardError, GripperError, OSError) as error:
         typer.echo(str(error), err=True)
-        raise typer.Exit(EXIT_FAILED) from error
+        raise typer.Exit(Exit.FAILED) from error

@@ -1,7 +1,6 @@
 """Starts the simulator as a process of its own if nothing listens at its endpoint, and ends what it started."""
 
 import asyncio
-import subprocess
 import time
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
@@ -67,7 +66,7 @@ def simulator(arguments: Sequence[str], endpoints: Sequence[str], log: Path) -> 
     A started simulator does not outlive this process, however this process ends.
 
     Args:
-        arguments: arguments of this project's program, from `CellConfig.simulator_arguments`.
+        arguments: arguments of this project's program.
         endpoints: every `tcp/host:port` at which it must listen. The first tells whether it is already running.
         log: file for the output of a started simulator.
 
@@ -86,12 +85,7 @@ def simulator(arguments: Sequence[str], endpoints: Sequence[str], log: Path) -> 
     try:
         yield Simulator(child, endpoints)
     finally:
-        child.process.terminate()
-        try:
-            child.process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            child.process.kill()
-            child.process.wait()
+        child.end(END_S)
         _log.info("ended", name=child.name, pid=child.process.pid, status=child.process.returncode)
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self, cast
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from service.policy.action import COMPONENTS, ActionMap
-from service.policy.observation import ENTRIES, Frame, Need, ObservationBuilder, ObservationMode
+from service.policy.observation import ENTRIES, Frame, Need, ObservationBuilder, ObservationMode, uses_estimate
 from service.safety.dsl import DslParameters
 from wire.law import ComplianceLaw
 
@@ -238,6 +238,11 @@ class PolicyContract(Section):
     def to_metadata(self) -> dict[str, str]:
         """Return the entry to add to the model's `metadata_props`."""
         return {METADATA_KEY: self.to_json()}
+
+    @property
+    def uses_estimate(self) -> bool:
+        """Whether approach, depth and observations use the camera's estimate of the hole."""
+        return uses_estimate(self.mode)
 
     @property
     def period_s(self) -> float:

@@ -25,6 +25,11 @@ CENTROID_LIMIT_M = 0.03
 """Limit at which the contact centroid is cut, m. A value beyond the largest part carries no meaning."""
 
 
+def uses_estimate(mode: ObservationMode) -> bool:
+    """Return whether a mode uses the camera's estimate of the hole; FTM uses the nominal centre instead."""
+    return mode != "FTM"
+
+
 class Need(StrEnum):
     """Capability that a cell must have to supply an entry."""
 
@@ -271,7 +276,7 @@ class ObservationBuilder:
         if unknown:
             raise ValueError(f"unknown observation entries {unknown}; known are {sorted(ENTRIES)}")
         self._specs = [ENTRIES[entry.name] for entry in entries]
-        self._mode = mode
+        self._mode: ObservationMode = mode
         self._max_steps = max_steps
         self._window_samples = window_samples
         self._wrench_clip = np.array([force_clip_n] * 3 + [torque_clip_nm] * 3)
@@ -318,7 +323,7 @@ class ObservationBuilder:
         contact_known = np.isfinite(measurement.contact_z)
         if self._mode == "VM":
             contact_known = contact_known & False
-        nominal = self._mode == "FTM"
+        nominal = not uses_estimate(self._mode)
         reading = Reading(
             m=measurement,
             felt=summarise(measurement.wrench_window, self._window_samples),

@@ -15,9 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.safety.pose import wrap
-from wire.arrays import BoolArray, FloatArray
-
-Corner = tuple[float, float, float]
+from wire.arrays import BoolArray, Corner, FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +46,9 @@ class BoundsParameters:
     leash_rad: float
     workspace_lower: Corner
     workspace_upper: Corner
-    yaw_centre_rad: float = 0.0
-    yaw_half_range_rad: float = pi
-    tilt_rad: float = 0.1
+    yaw_centre_rad: float
+    yaw_half_range_rad: float
+    tilt_rad: float
 
     def __post_init__(self) -> None:
         """Refuse limits that bound nothing.

@@ -29,7 +29,7 @@ class Phase(IntEnum):
     """No contact: creep down in search of it."""
     LOCKED = 1
     """In contact: z may not go below the lock."""
-    FREE = 3
+    FREE = 3  # 2 was the phase of a mode that is gone; trained policies observe this number, so it stays
     """The policy commands z: always in mode `off`, from the first contact on in mode `sliding`."""
 
 
@@ -147,10 +147,10 @@ class DslState:
             z_floor=np.broadcast_to(np.asarray(z_floor, np.float64), shape).copy(),
         )
 
-    def reset(self, mask: npt.ArrayLike, z_floor: npt.ArrayLike | None = None) -> Self:
-        """Begin anew where `mask` (...) is True; `z_floor`, if given, replaces the floor of those elements."""
+    def reset(self, mask: npt.ArrayLike) -> Self:
+        """Begin anew where `mask` (...) is True; the floor stays."""
         reset_mask = np.asarray(mask, np.bool_)
-        start = self.begin(np.shape(self.fresh), self.z_floor if z_floor is None else z_floor)
+        start = self.begin(np.shape(self.fresh), self.z_floor)
         merged: dict[str, Any] = {}
         for field in fields(self):
             old, new = np.asarray(getattr(self, field.name)), np.asarray(getattr(start, field.name))
@@ -195,7 +195,6 @@ def step(
     position: npt.ArrayLike,
     wrench: npt.ArrayLike,
     action: npt.ArrayLike,
-    reset_mask: npt.ArrayLike | None = None,
 ) -> tuple[DslState, DslOutput]:
     """Run one control step of the lock.
 
@@ -205,13 +204,10 @@ def step(
         position: (..., 3) m, measured TCP.
         wrench: (..., 6) N and N·m at the TCP, base axes, zeroed and compensated: the environment's action on the tool.
         action: (..., 4) dx, dy, dz in m, dθ in rad, base frame.
-        reset_mask: (...) bool, elements to reset before the step.
 
     Returns:
         The next state and the command. A NaN in an argument passes into both.
     """
-    if reset_mask is not None:
-        state = state.reset(reset_mask)
     p, w, a = (np.asarray(x, np.float64) for x in (position, wrench, action))
     felt = _feel(parameters, state, p, w)
     search = _search(parameters, state, felt, p[..., 2], a[..., 2])

@@ -38,8 +38,8 @@ class PreflightParameters:
     position_m: float
     yaw_rad: float
     tilt_rad: float
-    unzeroed_force_n: float = 12.0
-    unzeroed_torque_nm: float = 2.5
+    unzeroed_force_n: float
+    unzeroed_torque_nm: float
 
     def __post_init__(self) -> None:
         """Refuse limits that check nothing.

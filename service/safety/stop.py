@@ -22,16 +22,16 @@ class StopParameters:
     """Criteria of a confirmed stop.
 
     Attributes:
+        deadline_s: latest time of the confirmation, s after the command.
         linear_mps: TCP speed below which the arm stands, m/s.
         angular_radps: angular TCP speed below which the arm stands, rad/s.
         settle_s: uninterrupted standstill that confirms the stop, s.
-        deadline_s: latest time of the confirmation, s after the command.
     """
 
+    deadline_s: float
     linear_mps: float = STANDSTILL_M_S
     angular_radps: float = STANDSTILL_RAD_S
     settle_s: float = 0.02
-    deadline_s: float = 0.5
 
     def __post_init__(self) -> None:
         """Refuse limits that confirm nothing.

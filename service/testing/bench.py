@@ -17,17 +17,18 @@ from service.config import CellConfig
 from service.drivers.base import Driver
 from service.messages import CellState, Event, Run, RunResult, RunState, StartRequest, Telemetry
 from service.testing.in_process import InProcessDriver
+from sim_backend.world.scene import NOMINAL_HOLE_M
+from sim_backend.world.world import START_POSITION_M, START_YAW_RAD
 from sim_backend.zenoh_cell.cell import SimulatedCell
+from wire.limits import FORCE_CEILING_N, WORKSPACE_M
 
 RECIPE = "under-test"
 PATIENCE_S = 60.0
 """Simulated time in which a run of any sensible policy ends."""
 LIMITS: dict[str, Any] = {
-    "force_ceiling_n": 30.0,
-    "workspace_m": ((0.15, -0.26, 0.01), (0.45, 0.04, 0.40)),
+    "force_ceiling_n": FORCE_CEILING_N,
+    "workspace_m": WORKSPACE_M,
 }
-START_POSITION_M = (0.300, -0.110, 0.180)
-NOMINAL_HOLE_M = (0.300, -0.110, 0.080)
 
 
 @dataclass(slots=True)
@@ -120,7 +121,7 @@ def cell_config(state_dir: Path, policy: Path, limits: dict[str, Any] | None = N
         "clearance_m": 2.0e-3,
         "policy": policy,
         "start_position_m": START_POSITION_M,
-        "start_yaw_rad": 0.0,
+        "start_yaw_rad": START_YAW_RAD,
         "nominal_hole_m": NOMINAL_HOLE_M,
     }
     return CellConfig.model_validate(

@@ -30,6 +30,21 @@ def test_a_child_that_was_killed_gives_no_line_for_a_reason(tmp_path: Path) -> N
     assert child.ending() == f"the clerk (pid {child.process.pid}) ended with status -9"
 
 
+def test_a_child_ends_when_it_is_asked_and_is_killed_when_it_does_not(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    for ignores, in_time in ((False, True), (True, False)):
+        disposition = "signal.SIG_IGN" if ignores else "signal.SIG_DFL"
+        program = (
+            f"import signal, time; signal.signal(signal.SIGTERM, {disposition}); print(flush=True); time.sleep(60)"
+        )
+        process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        process.stdout.readline()
+        assert Child("sleeper", process, log).end(10.0 if in_time else 0.2) is in_time
+        assert process.returncode == (-signal.SIGTERM if in_time else -signal.SIGKILL)
+        process.stdout.close()
+
+
 def test_a_bound_child_does_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:
     program = f"""
 from pathlib import Path

@@ -12,9 +12,7 @@ from training.commands.refusal import refuse
 from training.evaluation import carry as carrying
 from training.evaluation import provenance
 from training.evaluation.results import RESULTS, ResultsError
-
-EXIT_DIFFERENT = 1
-EXIT_INTERRUPTED = 130
+from wire.exits import Exit
 
 
 def carry(
@@ -58,9 +56,9 @@ def carry(
             if after.sources().deployed_sources != present.deployed_sources:  # it covers all sources
                 raise carrying.CarryError("the present sources changed meanwhile: play again")
     except KeyboardInterrupt:
-        refuse("carry", "interrupted; nothing is changed", EXIT_INTERRUPTED)
+        refuse("carry", "interrupted; nothing is changed", Exit.INTERRUPTED)
     except carrying.CarryError as error:
-        refuse("carry", f"nothing is changed: {error}", EXIT_DIFFERENT)
+        refuse("carry", f"nothing is changed: {error}", Exit.FAILED)
     except (PolicyError, ResultsError) as error:
         refuse("carry", str(error))
     for path, found in replays.items():

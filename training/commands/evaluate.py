@@ -16,7 +16,6 @@ from training.environment.reward import RewardName
 from training.evaluation import evaluate as evaluation
 from training.evaluation import provenance, through_service
 from training.evaluation.results import (
-    CEILING_N,
     HEADER,
     RESULTS,
     Block,
@@ -29,7 +28,7 @@ from training.evaluation.results import (
     exclusive,
 )
 from training.report import paper
-from wire.limits import FORCE_HARD_MAXIMUM_N
+from wire.limits import FORCE_CEILING_N, FORCE_HARD_MAXIMUM_N
 from wire.modes import LockMode
 from wire.task import Conditions, Part, Task
 
@@ -59,7 +58,7 @@ def evaluate(
     reward: Annotated[RewardName, typer.Option(help="Reward that the returns sum up.")] = "paper",
     force_ceiling: Annotated[
         float, typer.Option(min=1.0, max=FORCE_HARD_MAXIMUM_N, help="Force that ends an episode, N.")
-    ] = CEILING_N,
+    ] = FORCE_CEILING_N,
     first_seed: Annotated[
         int, typer.Option(min=0, help="First seed; the others count up from it.")
     ] = evaluation.FIRST_TEST_SEED,
@@ -224,7 +223,7 @@ def _check_recordable(policy: Policy, settings: Sequence[Setting]) -> None:
         "part": policy.contract.parts[0],
         "lock": policy.contract.dsl.mode,
         "through": "environment",
-        "force_ceiling_n": CEILING_N,
+        "force_ceiling_n": FORCE_CEILING_N,
         "first_seed": evaluation.FIRST_TEST_SEED,
     }
     if any(getattr(setting, name) != value for setting in settings for name, value in usual.items()):

@@ -10,9 +10,9 @@ from sim_backend.world.rendering import RenderingUnavailableError
 from training.commands.refusal import refuse, refuse_without_extra
 from training.environment import design
 from training.report import paper
+from wire.exits import Exit
 from wire.task import Conditions, Part, Task
 
-EXIT_UNAVAILABLE = 3
 GALLERY = Path("docs/gallery")
 
 
@@ -55,7 +55,7 @@ def gallery(
                 drawing.write_animation(out / f"{name}.gif", films[-1])
                 drawing.write_strip(out / f"{name}.png", films[-1])
     except RenderingUnavailableError as error:
-        refuse("gallery", str(error), EXIT_UNAVAILABLE)
+        refuse("gallery", str(error), Exit.HOST)
     if not films:
         refuse("gallery", "there is nothing to show")
     (out / "README.md").write_text(drawing.page(films))

@@ -4,10 +4,10 @@ from typing import NoReturn
 
 import typer
 
-EXIT_USAGE = 2
+from wire.exits import Exit
 
 
-def refuse(command: str, text: str, code: int = EXIT_USAGE) -> NoReturn:
+def refuse(command: str, text: str, code: Exit = Exit.USAGE) -> NoReturn:
     """End the command with a status other than zero and the reason and remedy in `text`."""
     typer.echo(f"{command}: {text}", err=True)
     raise typer.Exit(code)

@@ -14,8 +14,7 @@ from training.commands.refusal import refuse, refuse_without_extra
 from training.evaluation.evaluate import FIRST_TEST_SEED
 from training.evaluation.results import RESULTS, Results, ResultsError, Setting, exclusive
 from training.report import paper
-
-EXIT_DIFFERENT = 1
+from wire.exits import Exit
 
 
 def reproduce(
@@ -60,7 +59,7 @@ def reproduce(
     typer.echo(f"wrote {writing.write(writing.document(measured), results)[0]}")
     if different:
         typer.echo(f"{different} differ from {against}: another file, or a rate outside the interval", err=True)
-        raise typer.Exit(EXIT_DIFFERENT)
+        raise typer.Exit(Exit.FAILED)
 
 
 def settings_of(name: str, policy: Policy) -> list[Setting]:

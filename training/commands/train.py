@@ -11,8 +11,7 @@ import typer
 
 from training.commands.refusal import refuse, refuse_without_extra
 from training.learning.experiment import Experiment, ExperimentError, load
-
-EXIT_INTERRUPTED = 130
+from wire.exits import Exit
 
 
 def train(
@@ -54,7 +53,7 @@ def train(
                 learn(run, start_from, deadline - time.monotonic())
             except KeyboardInterrupt:
                 typer.echo(f"interrupted; the same command goes on from {run.checkpoint}", err=True)
-                raise typer.Exit(EXIT_INTERRUPTED) from None
+                raise typer.Exit(Exit.INTERRUPTED) from None
             then = f"dsl-assembly export {asked.name} OUT.onnx --seed {one}"
             typer.echo(f"{_state(asked, run.steps)} in {run.directory}; next: {then}")
     except (ExperimentError, CheckpointError, TrainingError, WorkerError) as error:

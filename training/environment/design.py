@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from service.policy.contract import ActionEntry, ObservationEntry, PolicyContract
-from service.policy.observation import ENTRIES, Need, ObservationMode
+from service.policy.observation import ENTRIES, Need, ObservationMode, uses_estimate
 from service.safety.dsl import DslParameters
 from wire.law import ComplianceLaw
 from wire.modes import LockMode
@@ -133,7 +133,7 @@ def check_conditions(mode: ObservationMode, conditions: Conditions) -> None:
     Raises:
         ValueError: the hole lies too far from the nominal centre, and the mode observes nothing else of it.
     """
-    if mode == "FTM" and conditions in ("standard", "stiff", "transfer"):
+    if not uses_estimate(mode) and conditions in ("standard", "stiff", "transfer"):
         raise ValueError(
             f"conditions {conditions!r} put the hole too far from the nominal centre, and FTM observes only that centre"
         )

@@ -157,7 +157,7 @@ class Insertions:
         world = self.world
         world.reset(cells, tasks)
         self._mislead(cells, tasks)
-        known = self._nominal[cells] if self.contract.mode == "FTM" else world.camera(cells)
+        known = world.camera(cells) if self.contract.uses_estimate else self._nominal[cells]
         hover = known + np.column_stack([np.zeros((len(cells), 2)), world.hover(cells)])
         world.place(cells, hover, self._start_yaw[cells])
         world.zero_ft(cells)

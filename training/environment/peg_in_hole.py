@@ -22,7 +22,7 @@ from training.environment.episodes import TaskSource
 from training.environment.insertion import Insertions, Outcome, info_of
 from training.environment.reward import RewardName
 from wire.arrays import BoolArray, Float32Array, FloatArray
-from wire.limits import FORCE_HARD_MAXIMUM_N
+from wire.limits import FORCE_CEILING_N, FORCE_HARD_MAXIMUM_N
 from wire.modes import LockMode
 from wire.task import Conditions, Part, Task
 
@@ -283,7 +283,7 @@ class _Cells:
         mode, part = settings.get("mode", "VFTM"), settings.get("part", "tr")
         conditions = settings.get("conditions", "standard")
         design.check_conditions(mode, conditions)
-        ceiling = settings.get("force_ceiling_n", 30.0)
+        ceiling = settings.get("force_ceiling_n", FORCE_CEILING_N)
         if not 0 < ceiling <= FORCE_HARD_MAXIMUM_N:
             raise ValueError(f"force_ceiling_n must be above 0 and at most {FORCE_HARD_MAXIMUM_N:g} N, not {ceiling!r}")
         clearance = settings.get("clearance_m", 2.0e-3)

@@ -28,6 +28,7 @@ from service.policy.contract import EvaluationFigure
 from service.policy.observation import ObservationMode
 from training import files
 from training.environment.reward import RewardName
+from wire.limits import FORCE_CEILING_N
 from wire.modes import LockMode
 from wire.task import Conditions, Part
 
@@ -35,8 +36,6 @@ RESULTS = Path("results")
 SCHEMA_VERSION = 1
 WILSON_Z = 1.959964
 """Quantile of the normal distribution for a 95 % interval."""
-CEILING_N = 30.0
-"""Force ceiling of the standard recipe."""
 Through = Literal["environment", "zenoh", "rtde"]
 """Player of episodes: the batched environment, or the deployed service with the simulated arm over Zenoh or with an
 emulated UR controller over RTDE."""
@@ -113,7 +112,7 @@ class Setting:
     lock: LockMode
     through: Through = "environment"
     reward: RewardName = "paper"
-    force_ceiling_n: float = CEILING_N
+    force_ceiling_n: float = FORCE_CEILING_N
     first_seed: int
 
 

@@ -15,7 +15,7 @@ from service.policy.observation import ObservationMode
 from training.environment import design
 from training.environment.reward import FORCE_COST_PER_N, RewardName
 from wire.law import ComplianceLaw
-from wire.limits import FORCE_HARD_MAXIMUM_N
+from wire.limits import FORCE_CEILING_N, FORCE_HARD_MAXIMUM_N
 from wire.modes import LockMode
 from wire.task import Conditions, Part, Task
 
@@ -65,7 +65,7 @@ class TaskSection(ExperimentSection):
     reward: RewardName = "potential"
     force_cost_per_n: NotNegative = FORCE_COST_PER_N
     max_steps: Count = design.MAX_STEPS
-    force_ceiling_n: Annotated[float, Field(gt=0, le=FORCE_HARD_MAXIMUM_N)] = 30.0
+    force_ceiling_n: Annotated[float, Field(gt=0, le=FORCE_HARD_MAXIMUM_N)] = FORCE_CEILING_N
 
     @property
     def clearance_m(self) -> tuple[float, float]:

@@ -88,7 +88,7 @@ class Card:
         needed = {need for entry in self.contract.observation for need in ENTRIES[entry.name].needs}
         if self.contract.dsl.mode != "off":
             needed.add(Need.FORCE_TORQUE)
-        if self.contract.mode == "FTM":
+        if not self.contract.uses_estimate:
             needed.discard(Need.HOLE)
         return [text for need, text in NEEDS.items() if need in needed]
 

@@ -6,18 +6,29 @@ from typing import Any
 import pytest
 
 from service.cell.fit import CellCapabilities, mismatches
+from service.config import LimitsSection
 from service.policy.contract import ObservationEntry
+from service.policy.observation import Need
 from tests.service.policy.model_files import contract
+from wire.limits import FORCE_CEILING_N, WORKSPACE_M
 
+LIMITS = LimitsSection(
+    force_ceiling_n=FORCE_CEILING_N,
+    workspace_m=WORKSPACE_M,
+    max_stiffness=(5000.0, 5000.0, 5000.0, 200.0, 200.0, 200.0),
+)
 CELL = CellCapabilities(
     tick_s=0.002,
     part="tr",
     clearance_m=1.0e-3,
-    camera=True,
-    force_torque=True,
-    last_joint=True,
-    stiffness_max=(5000.0,) * 3 + (200.0,) * 3,
+    locks=("paper",),
+    offers=frozenset(Need),
+    limits=LIMITS,
 )
+
+
+def without(need: Need) -> dict[str, Any]:
+    return {"offers": CELL.offers - {need}}
 
 
 def test_a_cell_that_offers_everything_can_run_it() -> None:
@@ -31,10 +42,13 @@ def test_a_cell_that_offers_everything_can_run_it() -> None:
         ({"tick_s": 0.008}, "tick of 2 ms, the cell has 8 ms"),
         ({"part": "cir"}, "the policy is for tr, the cell assembles cir"),
         ({"clearance_m": 0.1e-3}, "0.3 to 2 mm per face, the cell has 0.1 mm"),
-        ({"camera": False}, "'hole_offset_xy' needs a camera's estimate of the hole"),
-        ({"force_torque": False}, "'force_mean' needs a force/torque sensor"),
-        ({"force_torque": False}, "the safety lock in mode 'paper' needs"),
-        ({"stiffness_max": (5000.0,) * 3 + (5.0,) * 3}, "compliance.stiffness[3] is 10, the cell runs at most 5"),
+        (without(Need.HOLE), "'hole_offset_xy' needs a camera's estimate of the hole"),
+        (without(Need.FORCE_TORQUE), "'force_mean' needs a force/torque sensor"),
+        (without(Need.FORCE_TORQUE), "the safety lock in mode 'paper' needs"),
+        (
+            {"limits": LIMITS.model_copy(update={"max_stiffness": (5000.0,) * 3 + (5.0,) * 3})},
+            "compliance.stiffness[3] is 10, the cell runs at most 5",
+        ),
     ],
 )
 def test_what_a_cell_cannot_offer_is_named(changes: dict[str, Any], says: str) -> None:
@@ -42,9 +56,9 @@ def test_what_a_cell_cannot_offer_is_named(changes: dict[str, Any], says: str) -
 
 
 def test_ftm_needs_no_camera() -> None:
-    assert mismatches(contract(mode="FTM"), replace(CELL, camera=False)) == ()
+    assert mismatches(contract(mode="FTM"), replace(CELL, **without(Need.HOLE))) == ()
 
 
 def test_joint_angles_are_a_need_like_others() -> None:
     document = contract(observation=(ObservationEntry.of("last_joint_angle"),))
-    assert "joint angles" in mismatches(document, replace(CELL, last_joint=False))[0]
+    assert "joint angles" in mismatches(document, replace(CELL, **without(Need.LAST_JOINT)))[0]

@@ -18,6 +18,7 @@ LIMITS = BoundsParameters(
     leash_rad=0.3,
     workspace_lower=(0.2, -0.1, 0.0),
     workspace_upper=(0.4, 0.1, 0.3),
+    yaw_centre_rad=0.0,
     yaw_half_range_rad=1.2,
     tilt_rad=0.05,
 )

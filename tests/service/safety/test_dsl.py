@@ -265,8 +265,8 @@ def test_reset_forgets_everything_where_asked_and_nothing_elsewhere(mode: LockMo
         np.testing.assert_array_equal(getattr(after, field.name)[1], getattr(state, field.name)[1])
 
 
-def test_reset_takes_a_new_floor_for_the_elements_it_resets() -> None:
-    state = DslState.begin((2,), 0.1).reset([True, False], 0.05)
+def test_reset_keeps_the_floor() -> None:
+    state = DslState.begin((2,), [0.05, 0.1]).reset([True, False])
     assert state.z_floor.tolist() == [0.05, 0.1]
 
 
@@ -322,9 +322,9 @@ def test_a_batch_steps_as_its_elements_do(
         force = SCALE_W * np.array([w, w[::-1]])
         action = SCALE_A * np.array([a, a[::-1]])
         mask = np.array([index == reset_at, False])
-        batch, out = step(parameters, batch, position, force, action, mask)
+        batch, out = step(parameters, batch.reset(mask), position, force, action)
         for i in range(2):
-            single[i], alone = step(parameters, single[i], position[i], force[i], action[i], mask[i])
+            single[i], alone = step(parameters, single[i].reset(mask[i]), position[i], force[i], action[i])
             for field in fields(DslOutput):
                 of_batch, of_one = getattr(out, field.name)[i], getattr(alone, field.name)
                 if of_batch.dtype.kind == "f":

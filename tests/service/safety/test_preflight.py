@@ -16,6 +16,8 @@ LIMITS = PreflightParameters(
     position_m=5e-3,
     yaw_rad=0.05,
     tilt_rad=0.02,
+    unzeroed_force_n=12.0,
+    unzeroed_torque_nm=2.5,
 )
 SIGMA = np.array([0.7, 0.7, 0.7, 0.05, 0.05, 0.05])
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,4 +69,4 @@ def test_the_outcome_is_final_and_the_last_speed_is_kept() -> None:
 )
 def test_limits_that_confirm_nothing_are_refused_by_name(field: str, value: float) -> None:
     with pytest.raises(ValueError, match=field):
-        StopParameters(**{field: value})
+        replace(LIMITS, **{field: value})
