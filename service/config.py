@@ -386,17 +386,20 @@ def find(path: Path | None = None) -> Path:
     """Return the absolute path of the configuration: `path`, else `$DSL_ASSEMBLY_CONFIG`, else one of `DEFAULT_PATHS`.
 
     Raises:
-        ConfigError: nothing names one, and there is none in the working directory.
+        ConfigError: nothing names one, and the working directory has none, or more than one.
     """
-    if path is None and (named := os.environ.get(PATH_VARIABLE)):
+    if path is None and (named := os.environ.get(PATH_VARIABLE)) is not None:
         path = Path(named)
-    path = path or next((default for default in DEFAULT_PATHS if default.is_file()), None)
     if path is None:
-        looked_for = " and no ".join(map(str, DEFAULT_PATHS))
-        raise ConfigError(
-            f"no configuration: there is no {looked_for} in {Path.cwd()}; name one by --config or ${PATH_VARIABLE}, "
-            f"or write a cell's folder: {PROGRAM} config new FOLDER"
-        )
+        found = [default for default in DEFAULT_PATHS if default.is_file()]
+        if len(found) > 1:
+            raise ConfigError(f"{' and '.join(map(str, found))} are both in {Path.cwd()}: name one by --config")
+        if not found:
+            raise ConfigError(
+                f"no configuration: there is no {' and no '.join(map(str, DEFAULT_PATHS))} in {Path.cwd()}; name one "
+                f"by --config or ${PATH_VARIABLE}, or write a cell's folder: {PROGRAM} config new FOLDER"
+            )
+        path = found[0]
     return path.resolve()
 
 

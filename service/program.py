@@ -48,7 +48,7 @@ class Child:
         Args:
             name: for people.
             arguments: of the program.
-            log: file that takes its output; its folder is made.
+            log: file that its output is appended to; its folder is made.
             dies_with_parent: the kernel kills it when this process ends in whatever way (Linux). Only for a thread
                 that lives as long as this process.
 
@@ -56,7 +56,7 @@ class Child:
             OSError: the log cannot be written, or no process can be made.
         """
         log.parent.mkdir(parents=True, exist_ok=True)
-        with log.open("wb") as output:
+        with log.open("ab") as output:
             # Not asyncio's: made without an await, so that no cancellation can lose a process that is already there.
             process = subprocess.Popen(
                 command(*arguments),

@@ -104,6 +104,12 @@ def test_no_file_or_folder_is_a_junk_drawer() -> None:
     assert not drawers
 
 
+def test_no_docstring_begins_without_its_subject() -> None:
+    headless = re.compile(r'"""(Of|What|Whether) ')
+    sources = [path for path in MODULES if headless.search(path.read_text())]
+    assert not sources, "say what the thing is or does"
+
+
 def test_no_module_is_too_long_to_read_in_one_sitting() -> None:
     lengths = {
         str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in (*MODULES, *EXAMPLES, *TESTS)

@@ -5,4 +5,4 @@ from typing import Literal
 LockMode = Literal["paper", "sliding", "off"]
 """Mode of the depth lock; `service.safety.dsl` describes each."""
 TimeMode = Literal["real_time", "lockstep"]
-"""Whether time passes by itself, or only as far as the client lets it."""
+"""Passage of time: by itself, or only as far as the client lets it."""

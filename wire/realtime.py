@@ -27,13 +27,14 @@ def request_realtime() -> tuple[str, ...]:
     except OSError as error:
         refused.append(
             f"no real-time scheduling ({error.strerror}): a tick may be some milliseconds late; "
-            "grant CAP_SYS_NICE or an rtprio limit"
+            "raise the rtprio limit of this user, or grant CAP_SYS_NICE to the process"
         )
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT_AND_FUTURE):
         reason = os.strerror(ctypes.get_errno())
         refused.append(
-            f"no locked memory ({reason}): a page fault may delay a tick; grant CAP_IPC_LOCK or a memlock limit"
+            f"no locked memory ({reason}): a page fault may delay a tick; raise the memlock limit of this user"
+            ", or grant CAP_IPC_LOCK to the process"
         )
     return tuple(refused)
 

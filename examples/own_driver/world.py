@@ -13,7 +13,7 @@ from wire.pose import rotvec_from_rotation, tool_down
 TICK_S = 0.002
 HOLE_RADIUS_M = 2e-3
 BLOCK_N_M = 20_000.0
-"""How stiffly the block pushes back, N per m of penetration."""
+"""Stiffness of the block, N per m of penetration."""
 NOISE = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])
 """The sensor's noise, N and N·m. The cell takes ten equal readings in a row for a stuck sensor."""
 

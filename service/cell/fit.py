@@ -10,7 +10,7 @@ from service.policy.observation import ENTRIES, Need
 from wire.modes import LockMode
 
 EVERY_CELL_OFFERS = frozenset({Need.FORCE_TORQUE, Need.LAST_JOINT})
-"""What each driver's samples have; the estimate of the hole depends on the configuration."""
+"""Contents of each driver's samples; the estimate of the hole depends on the configuration."""
 
 _NAMES = {
     Need.FORCE_TORQUE: "a force/torque sensor",

@@ -75,9 +75,9 @@ async def _run(config: CellConfig, driver: Driver) -> None:
         loop.add_signal_handler(number, ended.set)
     cell = Cell(config, driver, time_of_day=time.time)
     if driver.mode == "real_time":
+        freeze_garbage()  # collecting takes tens of milliseconds, which must not pass at real-time priority
         # Before Zenoh starts its threads: the loop would have to wait for a thread of ordinary priority
         cell.degradations = request_realtime()
-        freeze_garbage()
     for line in cell.degradations:
         _log.warning("degraded", what=line)
     try:

@@ -241,7 +241,7 @@ class PolicyContract(Section):
 
     @property
     def uses_estimate(self) -> bool:
-        """Whether approach, depth and observations use the camera's estimate of the hole."""
+        """True if approach, depth and observations use the camera's estimate of the hole."""
         return uses_estimate(self.mode)
 
     @property

@@ -36,6 +36,14 @@ def test_the_file_is_the_named_one_else_that_of_the_environment_else_that_of_the
     for name in ("config/cell.toml", "cell.toml"):
         (tmp_path / name).touch()
         assert find() == tmp_path / name
+        (tmp_path / name).unlink()
+    for name in ("config/cell.toml", "cell.toml"):
+        (tmp_path / name).touch()
+    with pytest.raises(ConfigError, match="are both in"):
+        find()
+    monkeypatch.setenv(PATH_VARIABLE, "")
+    with pytest.raises(ConfigError, match="no configuration at"):
+        load()
     monkeypatch.setenv(PATH_VARIABLE, "other.toml")
     assert find() == tmp_path / "other.toml", "named and missing: that is an error, and no reason to take another"
     with pytest.raises(ConfigError, match=r"no configuration at .*other\.toml"):
