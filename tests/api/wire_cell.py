@@ -320,7 +320,7 @@ class WireCell:
 
 async def until(condition: Callable[[], Any], what: str = "") -> None:
     """Wait for something that must come about; the test's own time limit ends a wait in vain."""
-    async with asyncio.timeout(15):
+    async with asyncio.timeout(60):
         while not condition():
             await asyncio.sleep(0.01)
 
@@ -355,7 +355,7 @@ class Api:
         self.runtime.cell.feed.close()
 
     async def wait_for_state(self, state: CellState) -> dict[str, Any]:
-        async with asyncio.timeout(15):
+        async with asyncio.timeout(60):
             while True:
                 status = (await self.http.get("/status")).json()
                 if status["state"] == state:

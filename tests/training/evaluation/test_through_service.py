@@ -88,7 +88,7 @@ def test_a_world_that_was_laid_out_for_something_else_is_not_judged() -> None:
 def test_a_policy_that_the_service_refuses_is_reported_with_what_it_said(tmp_path: Path) -> None:
     model = tmp_path / "broken.onnx"
     model.write_bytes(b"nothing")
-    with pytest.raises(through_service.ServiceError, match="no ONNX model"):
+    with pytest.raises(through_service.ServiceError, match="not an ONNX model"):
         through_service.play(model, [1], setting("zenoh"))
 
 
