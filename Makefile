@@ -114,7 +114,7 @@ docs-check: $(DEV) ## links between documents, the documents that must exist, th
 
 .PHONY: docs docs-serve
 docs: $(DOCS) ## build the documentation site into site/; a broken link is an error
-	$(BIN)/mkdocs build --clean
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --clean
 
 docs-serve: docs ## look at the site on http://127.0.0.1:8001 until Ctrl-C
 	$(BIN)/python -m http.server 8001 --bind 127.0.0.1 --directory site
