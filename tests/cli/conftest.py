@@ -30,10 +30,8 @@ def test_process_stays(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(autouse=True)
-def nothing_is_configured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def nothing_is_configured(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
     """No variable and no file of the working directory names a cell unless the test says so."""
     monkeypatch.delenv("DSL_ASSEMBLY_URL", raising=False)
     monkeypatch.delenv("DSL_ASSEMBLY_CONFIG", raising=False)
-    folder = tmp_path / "elsewhere"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
+    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))

@@ -153,8 +153,10 @@ def test_a_stop_that_another_cell_took_goes_to_the_configured_one_as_well(
     assert (cell.stops, second.stops) == (["stop over HTTP"], ["stop past the API"])
 
 
-def test_a_stop_that_another_cell_took_is_none_of_the_configured_one(url: str, cell: WireCell, tmp_path: Path) -> None:
-    path = write_config(tmp_path / "elsewhere", free_port(), cell="cell-away")
+def test_a_stop_that_another_cell_took_is_none_of_the_configured_one(
+    url: str, cell: WireCell, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = write_config(tmp_path_factory.mktemp("away"), free_port(), cell="cell-away")
     done = run("stop", "--url", url, "--config", str(path))
     assert done.exit_code == 4
     assert done.stdout.startswith("cell cell-test: ")
