@@ -123,13 +123,15 @@ def create_app(config: CellConfig, path: Path) -> Protection:
                 cell.feed.close()
 
             tasks = [_spawn(cell.follow()), _spawn(_join_or_start(cell, control_process))]
-            with _before_shutdown(close_streams):
-                yield
-            close_streams()
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-            await control_process.end()
+            try:
+                with _before_shutdown(close_streams):
+                    yield
+            finally:  # also where a server that is forced to end cancels this
+                close_streams()
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
+                await control_process.end()
         await history.close()
 
     return Protection(build_routes(lifespan), hosts=config.api.allowed_hosts, allow_remote=config.api.allow_remote)

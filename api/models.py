@@ -154,6 +154,7 @@ class CellStatus(BaseModel):
 class StopAnswer(BaseModel):
     """State of the cell when the answer to a stop or reset is sent."""
 
+    cell: str = Field(description="Id of the cell whose control process took the command.")
     confirmed: bool = Field(description="True if standstill of the arm was measured after the command.")
     state: CellState
     measured: Measured | None

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import socket
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -26,6 +27,9 @@ POLICIES = "policies"
 STATE = "state"
 _POLICY = re.compile(r"\.\./models/([\w.-]+\.onnx)")
 _STATE = re.compile(r'"\.\./var/[\w-]+"')
+_ID = re.compile(r'^id = "[^"]+"$', re.MULTILINE)
+_PORT = re.compile(r'^(port = |endpoint = "tcp/127\.0\.0\.1:)(\d+)', re.MULTILINE)
+_PORT_STEP = 10
 _OWN_NAME = re.compile(r" --config config/[\w-]+\.toml")
 
 
@@ -84,6 +88,7 @@ def new(
 ) -> None:
     """Write a cell's folder: configuration with comments, policies, place for its state.
 
+    The cell's id is the folder's name. A default port that is in use here is replaced by a free one.
     The policies are copies, so an update of this program changes no policy of a cell that works.
     """
     text = kind.example.read_text(encoding="utf-8")
@@ -91,6 +96,9 @@ def new(
     text = _POLICY.sub(rf"{POLICIES}/\1", text)
     text = _STATE.sub(f'"{STATE}"', text)
     text = _OWN_NAME.sub("", text)
+    text = _ID.sub(f'id = "{_id_of(folder)}"', text, count=1)
+    ports = _free_ports({int(port) for _, port in _PORT.findall(text)})
+    text = _PORT.sub(lambda found: f"{found[1]}{ports[int(found[2])]}", text)
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             fail("config new", f"{folder} is there already and is not empty: name another folder", Exit.USAGE)
@@ -100,7 +108,36 @@ def new(
         (folder / FILE).write_text(text, encoding="utf-8")
     except OSError as error:
         fail("config new", f"cannot write {error.filename or folder}: {error.strerror}", Exit.HOST)
-    typer.echo(f"wrote {folder / FILE} and {len(policies)} in {folder / POLICIES}. Next:\n  cd {folder}")
+    typer.echo(f"wrote {folder / FILE} and {len(policies)} in {folder / POLICIES}: cell {_id_of(folder)}")
+    for port, taken in ports.items():
+        if taken != port:
+            typer.echo(f"port {port} is in use here: the cell has {taken} in its place")
+    typer.echo(f"Next:\n  cd {folder}")
     if kind is Kind.UR3E:
         typer.echo(f"  measure and write every number marked MEASURE in {FILE}\n  {PROGRAM} ur check")
     typer.echo(f"  {PROGRAM} serve     # then, in another terminal: {PROGRAM} start --wait")
+
+
+def _id_of(folder: Path) -> str:
+    """Return the folder's name as the id of a cell."""
+    name = re.sub(r"[^A-Za-z0-9._-]+", "-", folder.resolve().name)
+    return name.lstrip("._-")[:64] or "cell"
+
+
+def _free_ports(ports: set[int]) -> dict[int, int]:
+    """Return each port itself where it is free on loopback, else the next free one in steps."""
+    found: dict[int, int] = {}
+    for port in sorted(ports):
+        choice = range(port, 65536, _PORT_STEP)
+        found[port] = next((free for free in choice if free not in found.values() and _is_free(free)), port)
+    return found
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True

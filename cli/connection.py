@@ -1,13 +1,14 @@
 """HTTP to a running API, with errors that are one line each."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Any, Self
 
 import httpx
 import typer
 
-from cli.address import DEFAULT_URL, URL_VARIABLE, is_address
+from cli.address import DEFAULT_URL, URL_VARIABLE, AddressError, find_cell, is_address, not_an_address
 from cli.exits import fail
 from service.program import PROGRAM
 from wire.exits import Exit
@@ -25,16 +26,40 @@ class Api:
     Args:
         command: that asks, for its error texts.
         url: of the API.
+        cell: id of the cell that it must serve; None: of any.
     """
 
-    def __init__(self, command: str, url: str) -> None:
+    def __init__(self, command: str, url: str, cell: str | None = None) -> None:
         self.command = command
         self.url = url.rstrip("/")
+        self._cell = cell
         if not is_address(self.url):
-            fail(command, f"{url} is no address of an API: it looks like {DEFAULT_URL}", Exit.USAGE)
+            fail(command, not_an_address(url), Exit.USAGE)
         self._http = httpx.Client(base_url=self.url, trust_env=False, timeout=TIMEOUT_S)
 
+    @classmethod
+    def chosen(cls, command: str, url: str | None, config: Path | None) -> Self:
+        """Return the API at `url`, else that of the configuration that is found, else the one at the default address.
+
+        Args:
+            command: that asks, for its error texts.
+            url: of the API, where one is given.
+            config: file of the cell, where one is given. The API must then serve that cell, at whatever address.
+        """
+        if url is not None and config is None:
+            return cls(command, url)
+        try:
+            found = find_cell(config)
+        except AddressError as error:
+            fail(command, str(error), Exit.USAGE)
+        return cls(command, url or DEFAULT_URL) if found is None else cls(command, url or found.url, found.cell)
+
     def __enter__(self) -> Self:
+        try:
+            self._check_cell()
+        except BaseException:
+            self._http.close()
+            raise
         return self
 
     def __exit__(
@@ -60,6 +85,11 @@ class Api:
             return self._http.get("/status").json()
         except httpx.TransportError:
             return None
+
+    def _check_cell(self) -> None:
+        if self._cell is not None and (served := self.status()["cell"]) != self._cell:
+            text = f"the API at {self.url} serves cell {served}, not the configured cell {self._cell}"
+            fail(self.command, f"{text}: name the API of {self._cell} by --url", Exit.UNREACHABLE)
 
     def _ask(self, method: str, path: str, **rest: Any) -> Any:
         try:

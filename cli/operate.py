@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from cli.address import DEFAULT_URL, Url
+from cli.address import CellFile, Url
 from cli.connection import Api, AsJson
 from cli.exits import fail
 from cli.live import View, millimetres, outcome, plain_console
@@ -31,37 +31,41 @@ def start(
     seed: Seed = None,
     operator: Annotated[str | None, typer.Option(help="Who asks, for the record.")] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Follow the run; 1 if the peg did not go in.")] = False,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
+    config: CellFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Ask a running cell for one insertion.
 
     Without --wait the command ends when the cell has accepted the run, which goes on by itself.
     """
-    with Api("start", url) as api:
-        body = {"recipe": recipe or _only_recipe(api), "seed": seed, "operator": operator}
+    with Api.chosen("start", url, config) as api:
+        found = api.status()
+        cell: str = found["cell"]
+        body = {"recipe": recipe or _only_recipe(api, found), "seed": seed, "operator": operator}
         accepted: dict[str, Any] = api.post(
             "/start",
             {name: value for name, value in body.items() if value is not None},
             {"Idempotency-Key": f"cli-{uuid.uuid4()}"},
         )
         console = Console(highlight=False, soft_wrap=True, stderr=as_json)
-        console.print(f"accepted: run [bold]{accepted['id']}[/], recipe {body['recipe']}, seed {accepted['seed']}")
+        run_of = f"run [bold]{accepted['id']}[/], recipe {body['recipe']}, seed {accepted['seed']}"
+        console.print(f"cell {cell}: accepted: {run_of}")
         try:
             run = follow(api, accepted["id"], console) if wait else accepted
         except KeyboardInterrupt:
-            fail("start", f"the run goes on; `{PROGRAM} stop` stops it", Exit.INTERRUPTED)
+            fail("start", f"the run of cell {cell} goes on; `{PROGRAM} stop` stops it", Exit.INTERRUPTED)
     if as_json:
         typer.echo(json.dumps(run))
     elif wait:
-        console.print(outcome(run))
+        console.print(f"cell {cell}: {outcome(run)}")
     if wait and run["state"] != "SUCCEEDED":
         raise typer.Exit(Exit.FAILED)
 
 
-def status(url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
+def status(url: Url = None, config: CellFile = None, as_json: AsJson = False) -> None:
     """Say what is measured now; 4 where the cell is UNKNOWN."""
-    with Api("status", url) as api:
+    with Api.chosen("status", url, config) as api:
         found = api.status()
     if as_json:
         typer.echo(json.dumps(found))
@@ -77,29 +81,32 @@ def reset(
     acknowledge: Annotated[
         str | None, typer.Option(metavar="CODE", help="The fault that was seen; default: the one in force.")
     ] = None,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
+    config: CellFile = None,
 ) -> None:
     """Acknowledge the latched fault after looking at the cell.
 
     Nothing moves, and no run is taken up again. The request names the fault in force: if another one takes its place
     meanwhile, the cell refuses.
     """
-    with Api("reset", url) as api:
-        latch = api.status()["latch"]
+    with Api.chosen("reset", url, config) as api:
+        found = api.status()
+        latch = found["latch"]
         code = acknowledge or (latch and latch["code"])
         body = {"operator": operator, "comment": comment} | ({"acknowledge": code} if code else {})
         answer = api.post("/reset", body)
-    typer.echo(f"{code} acknowledged; the cell is {answer['state']}")
+    typer.echo(f"cell {found['cell']}: {code} acknowledged; the cell is {answer['state']}")
 
 
 def runs(
     limit: Annotated[int, typer.Option(min=1, max=200, help="How many.")] = 20,
     before: Annotated[str | None, typer.Option(metavar="RUN", help="Only older ones than this.")] = None,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
+    config: CellFile = None,
     as_json: AsJson = False,
 ) -> None:
     """List the runs, newest first."""
-    with Api("runs", url) as api:
+    with Api.chosen("runs", url, config) as api:
         page: list[dict[str, Any]] = api.get("/runs", limit=limit, **({"before": before} if before else {}))["runs"]
     if as_json:
         typer.echo(json.dumps(page))
@@ -119,8 +126,7 @@ def runs(
     plain_console().print(table if page else "no run yet")
 
 
-def _only_recipe(api: Api) -> str:
-    found = api.status()
+def _only_recipe(api: Api, found: dict[str, Any]) -> str:
     recipes: list[str] = found["recipes"]
     if not recipes:
         fail(api.command, found["why_not"] or "the cell names no recipe", Exit.UNREACHABLE)

@@ -6,10 +6,23 @@ from types import FrameType
 from typing import Annotated, NoReturn
 
 import typer
+import uvicorn
 
 from cli.exits import fail
 from service.commands.configured import ConfigPath
 from wire.exits import Exit
+
+GRACE_S = 5
+"""Longest wait for open responses once the server is told to end, s."""
+
+
+class Server(uvicorn.Server):
+    """A server that ends in order however often it is told to: its end is that of the control process as well."""
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Take a signal; a second Ctrl-C skips nothing."""
+        super().handle_exit(sig, frame)
+        self.force_exit = False
 
 
 def serve(
@@ -22,8 +35,6 @@ def serve(
     The control process is started where none answers, and the simulator where the configuration asks for one. Ctrl-C,
     SIGTERM and the end of the terminal end what was started. The log goes to standard error, one JSON object a line.
     """
-    import uvicorn
-
     from api.application import create_app
     from api.logs import configure_logs
     from service.config import ConfigError, find, load
@@ -41,7 +52,7 @@ def serve(
     typer.echo(f"cell {cell.cell.id}: page on http://{cell.api.host}:{cell.api.port}")
     _end_on_signals()
     # uvicorn takes the signals over while it serves, and raises them again when everything has ended.
-    server = uvicorn.Server(uvicorn.Config(app, log_config=None))
+    server = Server(uvicorn.Config(app, log_config=None, timeout_graceful_shutdown=GRACE_S))
     server.run(sockets=[listener])
     if not server.started:
         fail("serve", "the server did not start; the log above says why", Exit.HOST)

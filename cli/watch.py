@@ -9,18 +9,18 @@ from rich.console import Console
 from rich.live import Live
 from rich.markup import escape
 
-from cli.address import DEFAULT_URL, Url
+from cli.address import CellFile, Url
 from cli.connection import Api, unreachable
 from cli.live import RECONNECT_S, STREAM_SILENCE_S, View, outcome, read_stream
 
 
-def watch(url: Url = DEFAULT_URL) -> None:
+def watch(url: Url = None, config: CellFile = None) -> None:
     """Show the cell live in the terminal until Ctrl-C.
 
     A lost connection is said and taken up again. Without a terminal each change of state and each run's end is a line.
     """
     console = Console(highlight=False, soft_wrap=True)
-    with Api("watch", url) as api:
+    with Api.chosen("watch", url, config) as api:
         view = View(console)
         view.take(api.status())
     live = Live(console=console, refresh_per_second=12, get_renderable=view.render, transient=True)

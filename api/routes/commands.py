@@ -109,6 +109,7 @@ async def stop(request: Request, response: Response) -> StopAnswer:
     if not confirmed:
         response.status_code = 202
     return StopAnswer(
+        cell=status.cell,
         confirmed=confirmed,
         state=status.state if stopper.is_alive else CellState.UNKNOWN,
         measured=status.measured,
@@ -136,6 +137,7 @@ async def reset(body: ResetBody, runtime: RuntimeDependency) -> StopAnswer:
     status = await runtime.unless_closing(runtime.cell.client.reset(request))
     _log.warning("reset", operator=body.operator, comment=body.comment, acknowledge=body.acknowledge)
     return StopAnswer(
+        cell=status.cell,
         confirmed=is_standing(status),
         state=status.state,
         measured=status.measured,

@@ -78,9 +78,9 @@ nominal_hole_m = [0.4, 0.0, 0.1]
 """
 
 
-def write_config(folder: Path, port: int, *, autostart: bool = False) -> Path:
+def write_config(folder: Path, port: int, *, autostart: bool = False, cell: str = CELL) -> Path:
     path = folder / "cell.toml"
-    path.write_text(CONFIG.format(cell=CELL, port=port, recipe=RECIPE, autostart=str(autostart).lower()))
+    path.write_text(CONFIG.format(cell=cell, port=port, recipe=RECIPE, autostart=str(autostart).lower()))
     return path
 
 
@@ -125,6 +125,7 @@ class WireCell:
     heartbeat: bool = True
     deaf_to_starts: bool = False
     hold_starts: bool = False
+    id: str = CELL
     held: list[zenoh.Query] = field(default_factory=list)
     epoch: str = "e1"
     seq: int = 0
@@ -134,7 +135,7 @@ class WireCell:
         self._lock = threading.RLock()
         self._session = open_session(listen=[self.endpoint])
         self._publishers = {
-            name: self._session.declare_publisher(key.format(cell=CELL))
+            name: self._session.declare_publisher(key.format(cell=self.id))
             for name, key in (("status", messages.STATUS), ("event", messages.EVENT), ("telemetry", messages.TELEMETRY))
         }
         answers: dict[str, Callable[[bytes], Message | None]] = {
@@ -145,8 +146,8 @@ class WireCell:
             messages.QUERY_RUN: self._find,
         }
         for key, answer in answers.items():
-            self._session.declare_queryable(key.format(cell=CELL), self._answering(answer))
-        self._session.declare_queryable(messages.START.format(cell=CELL), self._on_start)
+            self._session.declare_queryable(key.format(cell=self.id), self._answering(answer))
+        self._session.declare_queryable(messages.START.format(cell=self.id), self._on_start)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._beat, daemon=True)
         self._thread.start()
@@ -167,7 +168,7 @@ class WireCell:
         with self._lock:
             self.seq += 1
             return Status(
-                cell=CELL,
+                cell=self.id,
                 service_epoch=self.epoch,
                 seq=self.seq,
                 time=time.time(),

@@ -1,5 +1,6 @@
 """The control process on the wire that the API's tests have, and a served API before it."""
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,3 +21,17 @@ def url(config_path: Path, cell: WireCell) -> Iterator[str]:
         address = f"http://127.0.0.1:{port}"
         wait_for_state(address, "READY")
         yield address
+
+
+@pytest.fixture(autouse=True)
+def test_process_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`stop` ends its process at once, which here is that of the tests."""
+    monkeypatch.setattr("cli.stop.leave", sys.exit)
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_configured(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """No variable and no file of the working directory names a cell unless the test says so."""
+    monkeypatch.delenv("DSL_ASSEMBLY_URL", raising=False)
+    monkeypatch.delenv("DSL_ASSEMBLY_CONFIG", raising=False)
+    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))

@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,7 +11,10 @@ from tests.cli.serving import run
 
 
 @pytest.mark.parametrize("kind", Kind)
-def test_a_new_cell_s_folder_holds_all_that_its_configuration_names(kind: Kind, tmp_path: Path) -> None:
+def test_a_new_cell_s_folder_holds_all_that_its_configuration_names(
+    kind: Kind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cli.config._is_free", lambda _port: True)
     folder = tmp_path / "cells" / "one"
     done = run("config", "new", str(folder), "--kind", kind.value)
     assert done.exit_code == 0, done.output
@@ -23,8 +27,21 @@ def test_a_new_cell_s_folder_holds_all_that_its_configuration_names(kind: Kind, 
     for recipe in cell.recipes.values():
         assert recipe.policy.parent == folder / "policies"
         assert recipe.policy.read_bytes() == (shipped.MODELS / recipe.policy.name).read_bytes()
-    example = load(kind.example).model_dump(exclude={"cell": {"state_dir"}, "recipes": {"__all__": {"policy"}}})
-    assert cell.model_dump(exclude={"cell": {"state_dir"}, "recipes": {"__all__": {"policy"}}}) == example
+    assert cell.cell.id == "one"
+    own: Any = {"cell": {"state_dir", "id"}, "recipes": {"__all__": {"policy"}}}
+    assert cell.model_dump(exclude=own) == load(kind.example).model_dump(exclude=own)
+
+
+@pytest.mark.parametrize("kind", Kind)
+def test_a_new_cell_takes_no_port_that_is_in_use(kind: Kind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cli.config._is_free", lambda port: port not in {8000, 8010, 7447, 7448})
+    done = run("config", "new", str(tmp_path / "my cell"), "--kind", kind.value)
+    assert done.exit_code == 0, done.output
+    assert "port 8000 is in use here: the cell has 8020" in done.stdout
+    cell = load(tmp_path / "my cell" / "cell.toml")
+    assert (cell.cell.id, cell.api.port, cell.cell.endpoint) == ("my-cell", 8020, "tcp/127.0.0.1:7457")
+    if kind is not Kind.UR3E:
+        assert cell.sim.endpoint == "tcp/127.0.0.1:7458"
 
 
 def test_a_new_cell_overwrites_nothing(tmp_path: Path) -> None:

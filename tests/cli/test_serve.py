@@ -1,8 +1,11 @@
+import json
 import signal
 import socket
 import subprocess
+import time
 from pathlib import Path
 
+import httpx
 import pytest
 
 from service.program import command
@@ -57,3 +60,23 @@ def test_without_any_configuration_it_says_how_to_write_one(tmp_path: Path) -> N
     assert done.returncode == 2
     assert "dsl-assembly config new FOLDER" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_second_ctrl_c_leaves_no_control_process_behind(config_path: Path) -> None:
+    config_path.write_text(config_path.read_text().replace("autostart = false", "autostart = true"))
+    port = free_port()
+    with served(config_path, port) as process:
+        log = config_path.parent / "var/logs/control-process.log"
+        while not log.exists():
+            time.sleep(0.02)
+        with httpx.stream("GET", f"http://127.0.0.1:{port}/events", trust_env=False, timeout=30) as stream:
+            next(stream.iter_lines())
+            process.send_signal(signal.SIGINT)
+            time.sleep(0.05)
+            process.send_signal(signal.SIGINT)
+            output, _ = process.communicate(timeout=20)
+    assert process.returncode == 0, output
+    assert '"name": "control process"' in output
+    (ended,) = [line for line in output.splitlines() if '"event": "ended"' in line]
+    pid = json.loads(ended)["pid"]
+    assert not Path(f"/proc/{pid}").exists()
