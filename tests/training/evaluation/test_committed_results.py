@@ -1,0 +1,17 @@
+"""The committed results are of the present sources: measured with them, or carried over to them by replay."""
+
+from pathlib import Path
+
+import pytest
+
+from training.evaluation import provenance
+from training.evaluation.results import RESULTS, Results
+
+ROOT = Path(__file__).parents[3]
+FILES = sorted([*(ROOT / RESULTS).glob("*.json"), *(ROOT / RESULTS / "fresh-seeds").glob("*.json")])
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_results_name_the_sources_that_would_play_their_episodes_today(path: Path) -> None:
+    results = Results.load(path)
+    assert results.sources == provenance.sources(), "play the episodes again, or `dsl-assembly carry REVISION`"
