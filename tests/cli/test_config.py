@@ -14,7 +14,7 @@ from tests.cli.serving import run
 def test_a_new_cell_s_folder_holds_all_that_its_configuration_names(
     kind: Kind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cli.config._is_free", lambda _port: True)
+    monkeypatch.setattr("cli.config._is_free", frozenset(range(65536)).__contains__)
     folder = tmp_path / "cells" / "one"
     done = run("config", "new", str(folder), "--kind", kind.value)
     assert done.exit_code == 0, done.output
@@ -34,7 +34,7 @@ def test_a_new_cell_s_folder_holds_all_that_its_configuration_names(
 
 @pytest.mark.parametrize("kind", Kind)
 def test_a_new_cell_takes_no_port_that_is_in_use(kind: Kind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cli.config._is_free", lambda port: port not in {8000, 8010, 7447, 7448})
+    monkeypatch.setattr("cli.config._is_free", frozenset({8020, 7457, 7458}).__contains__)
     done = run("config", "new", str(tmp_path / "my cell"), "--kind", kind.value)
     assert done.exit_code == 0, done.output
     assert "port 8000 is in use here: the cell has 8020" in done.stdout
