@@ -108,7 +108,7 @@ def new(
         (folder / FILE).write_text(text, encoding="utf-8")
     except OSError as error:
         fail("config new", f"cannot write {error.filename or folder}: {error.strerror}", Exit.HOST)
-    typer.echo(f"wrote {folder / FILE} and {len(policies)} in {folder / POLICIES}: cell {_id_of(folder)}")
+    typer.echo(f"cell {_id_of(folder)}: wrote {folder / FILE}; policies in {folder / POLICIES}: {', '.join(policies)}")
     for port, taken in ports.items():
         if taken != port:
             typer.echo(f"port {port} is in use here: the cell has {taken} in its place")
