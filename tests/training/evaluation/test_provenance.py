@@ -16,6 +16,7 @@ OTHERWISE = {
     "training/files.py",
     "training/evaluation/results.py",
     "wire/arrays.py",
+    "wire/modes.py",
 }
 """Modules that load with what plays an episode and decide nothing: the contract comes with its policy."""
 
