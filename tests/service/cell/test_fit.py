@@ -1,4 +1,4 @@
-"""What a cell cannot offer a policy is named."""
+"""Every mismatch of a policy and a cell is named."""
 
 from dataclasses import replace
 from typing import Any

@@ -1,4 +1,4 @@
-"""What the latch of a cell says, and what bars its reset."""
+"""Contents of the latch, and conditions that bar its reset."""
 
 from collections.abc import Sequence
 
