@@ -49,3 +49,11 @@ def hanging(folder: Path, when: str, **changes: object) -> Path:
 def not_a_number(folder: Path) -> Path:
     """Answers with NaN as soon as a run asks; the trial at loading does not show it."""
     return save(folder / "nan.onnx", failing_model(document(hidden_size=1)))
+
+
+def pressing(folder: Path, **changes: object) -> Path:
+    """Comes down where it is, and from the first contact on asks for as much depth as the action allows."""
+    asked = document(observation=(*OBSERVATION, ObservationEntry.of("contact_height_known")), **changes)
+    weights = np.zeros((asked.observation_size, len(asked.action)))
+    weights[-1, 2] = -20.0
+    return save(folder / "pressing.onnx", linear_model(asked, weights=weights))
