@@ -163,6 +163,8 @@ class _StandardError(io.TextIOBase):
         self._handle = handle
 
     def write(self, text: str, /) -> int:
+        if not isinstance(text, str):  # pyright: ignore[reportUnnecessaryIsInstance]  # click asks by trying
+            raise TypeError("standard error takes text")
         self._writer.put(text)
         return len(text)
 
