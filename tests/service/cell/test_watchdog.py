@@ -204,6 +204,35 @@ def test_systemd_is_told_that_the_cell_is_ready_and_alive_and_ends(tmp_path: Pat
             assert 5 <= beats <= 12, "one every 50 ms"
 
 
+async def test_systemd_hears_nothing_of_a_control_process_whose_loop_stands_still(tmp_path: Path) -> None:
+    path, endpoint = configured(tmp_path)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.settimeout(0.0)
+
+        def heard() -> list[bytes]:
+            notices: list[bytes] = []
+            while True:
+                try:
+                    notices.append(systemd.recv(100))
+                except BlockingIOError:
+                    return notices
+
+        told = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "200000"}
+        async with control_process(path, endpoint, env=os.environ | told) as (process, _):
+            await until(lambda: b"WATCHDOG=1" in (notices := heard()) and b"READY=1" not in notices)
+            process.send_signal(signal.SIGSTOP)
+            await asyncio.sleep(0.1)
+            heard()
+            await asyncio.sleep(0.5)
+            assert heard() == []
+            process.send_signal(signal.SIGCONT)
+            await until(lambda: b"WATCHDOG=1" in heard())
+            process.send_signal(signal.SIGTERM)
+            await asyncio.to_thread(process.wait, 20)
+            assert b"STOPPING=1" in heard()
+
+
 @pytest.mark.parametrize("environment", [{}, {"NOTIFY_SOCKET": "/nowhere/at/all", "WATCHDOG_USEC": "1000"}])
 def test_without_systemd_nothing_is_sent_and_nothing_is_raised(environment: dict[str, str]) -> None:
     with Notifier(environment) as notifier:
