@@ -17,10 +17,13 @@ from wire import keys, records
 from wire.session import QueryRefusedError, close_session, open_session, query
 from wire.task import Task
 
-_log = structlog.get_logger("service.drivers")
-
 LAY_OUT_S = 30.0
 """Host time for a simulator to lay out, and perhaps to compile, a world, s."""
+CONNECT_S = 2.0
+"""Time in which a simulator must be reached, s."""
+POLL_S = 0.05
+
+_log = structlog.get_logger("service.drivers")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +83,7 @@ class ZenohWorldSetup:
     async def open(self) -> None:
         if self._session is None:
             self._session = await asyncio.to_thread(open_session, connect=self._connect)
-        await self._hold.claim(self._session)
+        await self._claim(self._session)
         if self._holding is None or self._holding.done():
             self._holding = asyncio.create_task(self._keep_hold(self._session), name="hold")
 
@@ -110,6 +113,20 @@ class ZenohWorldSetup:
         if session is not None:
             await self._hold.release(session)
             await asyncio.to_thread(close_session, session)
+
+    async def _claim(self, session: zenoh.Session) -> None:
+        # A session that is just connecting reaches nobody at once, so a silence is worth asking again.
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + CONNECT_S
+        while True:
+            try:
+                await self._hold.claim(session)
+            except DriverError as error:
+                if error.code is not FaultCode.LINK or loop.time() >= deadline:
+                    raise
+                await asyncio.sleep(POLL_S)
+            else:
+                return
 
     async def _keep_hold(self, session: zenoh.Session) -> None:
         try:

@@ -55,6 +55,7 @@ class ZenohSimDriver:
         self.mode: TimeMode = mode
         self.name = f"simulated cell sim/{world} at {', '.join(connect)}"
         self._world = world
+        self._state_key = keys.STATE.format(world=world)
         self._connect = tuple(connect)
         self._host_clock = clock
         self._commands = CommandWriter()
@@ -102,7 +103,7 @@ class ZenohSimDriver:
                 priority=zenoh.Priority.REAL_TIME,
                 express=True,
             )
-            self._session.declare_subscriber(keys.STATE.format(world=self._world), self._receive)
+            self._session.declare_subscriber(self._state_key, self._receive)
 
     async def prepare(self, task: Task | None) -> None:
         payload = json.dumps(check_task(task).to_json()).encode()
@@ -161,6 +162,8 @@ class ZenohSimDriver:
     def _receive(self, message: zenoh.Sample) -> None:
         """Check a state against the schema, stamp its arrival and hand it over. Runs on Zenoh's thread."""
         arrival_s = self._host_clock()
+        if str(message.key_expr) != self._state_key:
+            return  # the world names its key; a wildcard is somebody else's
         try:
             states = records.decode(message.payload.to_bytes(), records.STATE)
             if len(states) != 1:
