@@ -138,7 +138,7 @@ class Holding:
 
     @property
     def is_held(self) -> bool:
-        """Whether there is a holder, and it was heard within `LEASE_S`."""
+        """True while there is a holder that was heard within `LEASE_S`."""
         return self.holder is not None and self._clock() - self._heard_at <= LEASE_S
 
     def described(self) -> dict[str, Any] | None:

@@ -67,7 +67,7 @@ class Asked:
 
     @property
     def may_command(self) -> bool:
-        """Whether it names its own key and is not empty."""
+        """True if it names its own key and is not empty."""
         return self.named == self.key and bool(self.payload)
 
 

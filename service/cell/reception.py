@@ -1,4 +1,4 @@
-"""What counts as a command to a cell: an envelope under the command's own key, good for one use."""
+"""Commands to a cell: each is an envelope under the command's own key, good for one use."""
 
 import time
 from collections.abc import Callable, Generator
