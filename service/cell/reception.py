@@ -19,7 +19,7 @@ CommandT = TypeVar("CommandT", StartRequest, StopRequest, ResetRequest)
 
 
 class NotACommandError(Exception):
-    """What arrived is no command; it has had no effect.
+    """A message that is no command. It has had no effect.
 
     Attributes:
         reason: kind of the refusal.
