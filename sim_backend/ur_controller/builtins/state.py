@@ -91,7 +91,7 @@ def state_builtins(controller: Controller) -> dict[str, Builtin]:
         return Pose(plant.tcp_offset)
 
     def set_payload(m: Value, cog: Value = _KEPT) -> None:
-        carry(_mass(m), _vector(cog, plant.payload_cog, "cog"))
+        carry(_mass(m), _vector(cog, plant.tcp_offset[:3], "cog"), (0.0,) * 6)
 
     def set_payload_mass(m: Value) -> None:
         carry(_mass(m), plant.payload_cog)
