@@ -369,6 +369,8 @@ class CellConfig(BaseSettings):
                 )
         if self.preflight.bias_force_n >= self.preflight.contact_force_n:
             raise ValueError("preflight.bias_force_n must be below preflight.contact_force_n")
+        if self.limits.stuck_channel_samples < self.limits.stuck_samples:
+            raise ValueError("limits.stuck_channel_samples must not be below limits.stuck_samples")
         if self.limits.policy_deadline_s >= self.limits.target_age_s:
             raise ValueError("limits.policy_deadline_s must be below limits.target_age_s, or the arm stops first")
         limits = self.limits

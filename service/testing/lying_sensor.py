@@ -58,7 +58,7 @@ class LyingSensor:
         world: the world; its sensor is honest until `begin`.
 
     Attributes:
-        peak_n: largest true contact force since the last `watch`, N.
+        peak_n: largest true contact force since the last `be_honest`, N.
     """
 
     def __init__(self, world: World) -> None:
@@ -80,9 +80,9 @@ class LyingSensor:
         """
         self._lie, self._onset = lie, np.zeros(6) if absolute else self._newest.copy()
 
-    def watch(self) -> None:
-        """Begin a new peak of the true force."""
-        self.peak_n = 0.0
+    def be_honest(self) -> None:
+        """Tell the truth again, and begin a new peak of the true force."""
+        self._lie, self.peak_n = None, 0.0
 
     def _sense(self, carried: FloatArray) -> FloatArray:
         readings = self._honest(carried)

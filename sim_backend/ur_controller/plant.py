@@ -51,7 +51,6 @@ class Plant:
         set_points: (6,) last set-points of the joint servos, rad.
         wrench: (6,) wrench of the environment on the tool at the configured TCP, base axes, N and N·m, zeroed and
             without the weight of the configured payload.
-        felt_force: (3,) force of the environment on the tool as the joints' drives feel it, N, base axes.
         ft_raw: (6,) reading of the sensor at the flange, flange axes; neither zeroed nor compensated.
         saturated: a channel of the sensor is at the end of its range.
         tcp_offset: pose of the configured TCP in the flange's frame; initially the scene's.
@@ -95,7 +94,7 @@ class Plant:
         self.set_points = set_points[0]
         self.world.drive(set_points)
         self._measure()
-        self.felt_force = self._joint_sense.read(self.world, self.payload_kg, self.payload_cog, self.tcp_offset[:3])
+        self._joint_sense.read(self.world, self.payload_kg, self.payload_cog, self.tcp_offset[:3])
 
     def lay_out(self, task: Task) -> None:
         """Begin an episode: another hole, another plant, the arm at rest at the start pose.
@@ -191,8 +190,8 @@ class Plant:
         return self.world.joint_torques[0].copy()
 
     def felt_wrench(self) -> list[float]:
-        """Return the wrench of the environment about the flange, base axes, of `felt_force` at the TCP."""
-        force = self.felt_force.tolist()
+        """Return the wrench about the flange, base axes, of the force at the TCP that the joints' drives feel."""
+        force: list[float] = self._joint_sense.force.tolist()
         return [*force, *cross(rotate(self.flange()[1], self.tcp_offset[:3]), force)]
 
     def elbow(self) -> tuple[list[float], list[float]]:
@@ -275,7 +274,6 @@ class Plant:
     def _measure(self) -> None:
         world = self.world
         self.q, self.qd = world.joints[0], world.joint_speeds[0].copy()
-        self.felt_force = self._joint_sense.force
         self.wrench, self.ft_raw = world.sensor.wrench[0].copy(), world.sensor.raw[0]
         self.saturated = bool(world.sensor.saturated[0])
         self._flange: tuple[Vector, Rotation] | None = None

@@ -29,12 +29,17 @@ _STREAM = 3
 
 
 class JointSense:
-    """The drives of one arm, in a world of one cell."""
+    """The drives of one arm, in a world of one cell.
+
+    Attributes:
+        force: (3,) latest reading: the force of the environment on the tool, N, base axes.
+    """
 
     def __init__(self) -> None:
         self._friction = FRICTION_SHARE * kinematics.JOINT_TORQUE_NM
         self._noise = NOISE_SHARE * kinematics.JOINT_TORQUE_NM
         self._weight = 1.0 / self._friction**2
+        self.force: FloatArray = np.zeros(3)
         self.begin(0)
 
     def begin(self, seed: int) -> None:
@@ -43,8 +48,8 @@ class JointSense:
         self._stick = self._rng.uniform(-1.0, 1.0, 6)
         self.force = np.zeros(3)
 
-    def read(self, world: World, payload_kg: float, payload_com_m: npt.ArrayLike, point_m: npt.ArrayLike) -> FloatArray:
-        """Take one reading; return the force of the environment on the tool (3,), N, base axes.
+    def read(self, world: World, payload_kg: float, payload_com_m: npt.ArrayLike, point_m: npt.ArrayLike) -> None:
+        """Take one reading.
 
         The force is the one at `point_m` that explains the torques best, each weighed by its joint's friction. A
         singular arm keeps its last reading.
@@ -66,4 +71,3 @@ class JointSense:
         lever = jacobian[:3]
         with contextlib.suppress(np.linalg.LinAlgError):
             self.force = np.linalg.solve((lever * self._weight) @ lever.T, lever @ (self._weight * felt))
-        return self.force

@@ -314,7 +314,8 @@ class World:
         """
         jacobian = kinematics.jacobian(self.joints, (0.0, 0.0, scene.TCP_OFFSET_M))
         torques = self._constraint_torques[:, :6, None]
-        return np.linalg.solve(jacobian.transpose(0, 2, 1), torques)[:, :3, 0]
+        wrench: FloatArray = np.linalg.solve(jacobian.transpose(0, 2, 1), torques)
+        return wrench[:, :3, 0]
 
     def momentum(self, cell: int = 0) -> tuple[float, float, float]:
         """Return the linear momentum of one cell's arm and its load, base frame, kg·m/s."""

@@ -52,6 +52,11 @@ class SimulatedCell:
         self._client = 0
         self._command_seq = 0
 
+    @property
+    def world(self) -> World:
+        """The world behind the wire, for tests of what a client must not see; a task with another part replaces it."""
+        return self._world
+
     def model(self) -> mujoco.MjModel:
         """Copy the MuJoCo model of the present episode: its clearance, grasp and plant."""
         return self._world.model()

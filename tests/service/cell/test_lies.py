@@ -62,7 +62,7 @@ class LyingCell:
 async def lying_cell(arm: Arm, tmp_path: Path) -> AsyncIterator[LyingCell]:
     config = arm.config(tmp_path / "state", policies.still(tmp_path), conditions="easy")
     async with arm.cell(config) as bench:
-        world: World = bench.world.plant.world if hasattr(bench.world, "plant") else bench.world._world
+        world: World = bench.world.plant.world if hasattr(bench.world, "plant") else bench.world.world
         yield LyingCell(bench, LyingSensor(world), world)
 
 
@@ -170,7 +170,7 @@ async def test_10_a_payload_of_twice_the_weight_is_refused_by_the_joints_before_
 async def test_82_a_cell_that_idled_for_a_week_is_ready_and_a_run_succeeds(arm: Arm, tmp_path: Path) -> None:
     config = arm.config(tmp_path / "state", policies.straight(tmp_path), conditions="easy")
     async with arm.cell(config) as bench:
-        world: World = bench.world.plant.world if hasattr(bench.world, "plant") else bench.world._world
+        world: World = bench.world.plant.world if hasattr(bench.world, "plant") else bench.world.world
         world.sensor._tick[0] += 7 * 24 * 3600 * 500
         await bench.let_pass(1.0)
         assert bench.cell.state is CellState.READY

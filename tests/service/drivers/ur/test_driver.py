@@ -188,7 +188,7 @@ async def test_09_a_tool_pressed_onto_the_block_gets_no_program_that_would_zero_
         assert 14.0 < load_n < 20.0
         await arm.driver.connect(arm)
         assert arm.controller.runtime_state is RuntimeState.STOPPED
-        with pytest.raises(DriverError, match="F/T load.*free the tool") as refused:
+        with pytest.raises(DriverError, match=r"F/T load.*free the tool") as refused:
             await arm.driver.prepare(None)
         assert refused.value.code is FaultCode.CONTACT_AT_START
         assert f"{load_n:.0f}" in str(refused.value) or "N·m beside the payload" in str(refused.value)
@@ -216,14 +216,14 @@ async def test_the_gate_names_another_robot_at_the_address() -> None:
         assert arm.config.ur is not None
         ur = arm.config.ur.model_copy(update={"serial": "20235300099"})
         arm.driver = UrDriver(arm.config.model_copy(update={"ur": ur}), mode="lockstep")
-        with pytest.raises(DriverError, match="serial number 20235300042, wanted .*20235300099"):
+        with pytest.raises(DriverError, match=r"serial number 20235300042, wanted .*20235300099"):
             await arm.driver.connect(arm)
         assert arm.controller.runtime_state is RuntimeState.STOPPED
 
 
 async def test_a_controller_with_polyscope_x_is_refused_by_name() -> None:
     async with real_arm(lambda controller: setattr(controller, "versions", (10, 7, 0, 0))) as arm:
-        with pytest.raises(DriverError, match="PolyScope: X, 10.7.0"):
+        with pytest.raises(DriverError, match=r"PolyScope: X, 10\.7\.0"):
             await arm.driver.connect(arm)
 
 

@@ -119,7 +119,7 @@ def test_a_register_with_a_state_that_there_is_not_is_no_sample() -> None:
 
 def test_a_controller_that_was_restarted_is_another_source_to_the_monitor() -> None:
     reader = SampleReader(ur_config().ur)
-    monitor = Monitor(MonitorParameters(30.0, 5.0, 10, 0.05, 0.05))
+    monitor = Monitor(MonitorParameters(30.0, 5.0, 10, 25, 0.05, 0.05))
     verdicts = []
     for index, time_s in enumerate((60.0, 60.002, 40.0)):
         at = package(time_s=time_s, tcp_force=(0.1 * index, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -131,6 +131,7 @@ def test_a_controller_that_was_restarted_is_another_source_to_the_monitor() -> N
                 seq=sample.seq,
                 time_s=sample.time_s,
                 wrench=sample.wrench,
+                raw=sample.ft_raw,
                 motion=sample.q,
                 saturated=False,
                 now=sample.arrival_s,
