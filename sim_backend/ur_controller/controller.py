@@ -278,6 +278,7 @@ class Controller:
         self.safety.protective_stop(reason)
         self.motion.freeze()
         self.interpreter.pause(at_once=True)
+        self.interpreter.stop_secondaries()
         self._last_target = self.motion.q_target
 
     def violate(self, reason: str) -> None:

@@ -100,6 +100,10 @@ class Interpreter:
     def stop_all(self) -> None:
         """End the main program and the secondary programs."""
         self.stop()
+        self.stop_secondaries()
+
+    def stop_secondaries(self) -> None:
+        """End the secondary programs; the main program goes on."""
         for secondary in self._secondaries:
             secondary.kill()
 

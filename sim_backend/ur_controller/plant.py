@@ -133,13 +133,12 @@ class Plant:
 
     def set_payload(self, kg: float, cog: Sequence[float], inertia: Sequence[float] | None = None) -> None:
         """Configure the payload: mass kg, centre (3,) m in the flange's frame, inertia (6,) kg·m²; None keeps the
-        inertia. The controller zeroes the sensor (script manual, `set_payload` and `set_target_payload`).
+        inertia. The sensor's zero stays.
         """
         self.payload_kg, self.payload_cog = float(kg), tuple(map(float, cog))
         if inertia is not None:
             self.payload_inertia = tuple(map(float, inertia))
         self._configure()
-        self.zero_ft()
 
     def zero_ft(self) -> None:
         """Take the sensor's latest readings as its zero; meaningless in contact and in motion."""
