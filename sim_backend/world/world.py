@@ -314,8 +314,7 @@ class World:
         """
         jacobian = kinematics.jacobian(self.joints, (0.0, 0.0, scene.TCP_OFFSET_M))
         torques = self._constraint_torques[:, :6, None]
-        wrench: FloatArray = np.linalg.solve(jacobian.transpose(0, 2, 1), torques)
-        return wrench[:, :3, 0]
+        return np.asarray(np.linalg.solve(jacobian.transpose(0, 2, 1), torques)[:, :3, 0], np.float64)
 
     def momentum(self, cell: int = 0) -> tuple[float, float, float]:
         """Return the linear momentum of one cell's arm and its load, base frame, kg·m/s."""

@@ -67,7 +67,7 @@ def test_a_torque_about_the_flange_is_moved_to_the_tcp(tcp) -> None:
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.19, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.5, 0.4, -0.3)])
-def test_15_the_load_is_the_raw_reading_less_the_payload_s_weight_whatever_the_controller_has_configured(
+def test_09_the_load_is_the_raw_reading_less_the_payload_s_weight_whatever_the_controller_has_configured(
     offset: tuple[float, ...],
 ) -> None:
     """In any attitude, at the TCP of `[ur]`; neither the controller's zero nor its TCP or payload has a part in it."""
