@@ -19,6 +19,7 @@ from service.cell.journal import Journal
 from service.cell.lateness import Lateness
 from service.cell.orders import Fail
 from service.cell.policy_process import PolicyProcess
+from service.cell.remarks import Remarks
 from service.cell.resetting import Resetting
 from service.cell.runs import Runs, ended_by
 from service.cell.standstill import Standstill
@@ -101,6 +102,7 @@ class Cell:
         self._starting = Starting(config, driver, opener, self.journal, self.runs, self._intake, self)
         self._resetting = Resetting(config.limits, driver, self.journal, self._intake, self)
         self._states = StateMachine(CellState.OFFLINE if self.journal.latch is None else CellState.LATCHED)
+        self._remarks = Remarks(lambda text: self.journal.tell(EventKind.WARNING, self.state, text), driver.clock)
         self._link_text = "not connected yet"
         self._status_seq = 0
         self._client_heard_at = 0.0
@@ -128,6 +130,10 @@ class Cell:
         """Halt: the driver does not trust its link."""
         if not self._starting.preparing or code is not FaultCode.STALE:
             self.halt(code, text)
+
+    def on_notice(self, text: str) -> None:
+        """Write a line about something that had no effect: a refused command, say. A flood is thinned out."""
+        self._remarks.note(text)
 
     def _take(self, sample: Sample) -> None:
         if self._starting.preparing:
