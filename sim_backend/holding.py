@@ -39,8 +39,9 @@ class Holder:
 class Holding:
     """Admits the commands and requests of the holder alone, each of them once.
 
-    A claim draws a word at random that only the claimant is told. Commands carry it as their `client`, requests as a
-    parameter, both with a `seq` above every earlier one of their kind.
+    A claim draws two words at random that only the claimant is told. Commands carry the first as their `client`,
+    requests as a parameter, both with a `seq` above every earlier one of their kind. The second is good for a STOP
+    alone, with numbers of its own: the claimant gives it to a watchdog, which cannot know the numbers of the commands.
 
     Args:
         clock: monotonic seconds.
@@ -53,9 +54,9 @@ class Holding:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._word = 0
+        self._word = self._stop_word = 0
         self._heard_at = 0.0
-        self._command_seq = self._request_seq = 0
+        self._command_seq = self._request_seq = self._stop_seq = 0
         self.holder: Holder | None = None
         self.number = 0
         self.refused = 0
@@ -68,7 +69,7 @@ class Holding:
             payload: JSON object `{"cell": …, "host": …, "pid": …}`.
 
         Returns:
-            JSON object with the word, `client`, and with `refused`.
+            JSON object with the words, `client` and `stop`, and with `refused`.
 
         Raises:
             RequestError: another client holds the world, or the claim cannot be read.
@@ -82,12 +83,12 @@ class Holding:
                     f"claim: this world is held by {self.holder}, heard {heard_s:.1f} s ago: "
                     "end it, or give this cell a simulator of its own (sim.endpoint)"
                 )
-            self._word = secrets.randbits(63) | 1
-            self._command_seq = self._request_seq = 0
+            self._word, self._stop_word = secrets.randbits(63) | 1, secrets.randbits(63) | 1
+            self._command_seq = self._request_seq = self._stop_seq = 0
             self.holder = claimant
             self.number += 1
         self._heard_at = self._clock()
-        return json.dumps({"client": self._word, "refused": self.refused}).encode()
+        return json.dumps({"client": self._word, "stop": self._stop_word, "refused": self.refused}).encode()
 
     def release(self, parameters: str) -> None:
         """End the holder's claim.
@@ -96,7 +97,7 @@ class Holding:
             RequestError: as `check`.
         """
         self.check(read_parameters(parameters, SIGNATURE, *SIGNED), "release")
-        self.holder, self._word = None, 0
+        self.holder, self._word, self._stop_word = None, 0, 0
 
     def check(self, parameters: Mapping[str, str], request: str) -> None:
         """Check that a request is the holder's and new.
@@ -120,7 +121,9 @@ class Holding:
         self._heard_at = self._clock()
 
     def admits(self, command: Any) -> bool:
-        """Return whether a command is the holder's and new. A stop is anyone's while no holder is heard.
+        """Return whether a command is the holder's and new, or a new stop of its watchdog.
+
+        A stop is anyone's while no holder is heard.
 
         Args:
             command: one record of `records.COMMAND`.
@@ -131,8 +134,12 @@ class Holding:
                 self._command_seq = seq
                 self._heard_at = self._clock()
                 return True
-        elif command["kind"] == Kind.STOP and not self.is_held:
-            return True
+        elif command["kind"] == Kind.STOP:
+            if not self.is_held:
+                return True
+            if int(command["client"]) == self._stop_word and int(command["seq"]) > self._stop_seq:
+                self._stop_seq = int(command["seq"])
+                return True
         self.refused += 1
         return False
 

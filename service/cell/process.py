@@ -18,7 +18,7 @@ from service.cell.states import WITH_RUN
 from service.cell.watch import keep_linked, keep_watch
 from service.config import CellConfig
 from service.drivers.base import Driver
-from service.drivers.watchdog import Watchdog
+from service.drivers.watchdog import BrakeSetting, Watchdog
 from service.messages import CellState, EventKind
 from service.notify import Notifier
 from wire.realtime import freeze_garbage, request_realtime
@@ -51,12 +51,12 @@ async def attended(cell: Cell, beats: Sequence[Callable[[], None]] = ()) -> Asyn
 
 
 @contextmanager
-def guarded(cell: Cell, brake: Sequence[str]) -> Generator[tuple[Notifier, list[Callable[[], None]]]]:
+def guarded(cell: Cell, brake: BrakeSetting | None) -> Generator[tuple[Notifier, list[Callable[[], None]]]]:
     """Have the loop watched from outside while the context lasts: by systemd, and in real time by a watchdog.
 
     Args:
         cell: to guard.
-        brake: arguments of the watchdog's brake; without them there is no watchdog.
+        brake: of the arm; without one there is no watchdog.
 
     Yields:
         The notices to systemd, and the beats that the loop owes to both.
@@ -67,7 +67,7 @@ def guarded(cell: Cell, brake: Sequence[str]) -> Generator[tuple[Notifier, list[
     with ExitStack() as stack:
         notifier = stack.enter_context(Notifier())
         beats = [notifier.beat]
-        if brake and cell.driver.mode == "real_time":
+        if brake is not None and cell.driver.mode == "real_time":
             watchdog = stack.enter_context(Watchdog(brake, cell.config.limits.sample_age_s))
             beats.append(partial(_quiet, cell, watchdog))
         yield notifier, beats
@@ -100,14 +100,13 @@ def alone(state_dir: Path) -> Generator[None]:
         yield
 
 
-async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> None:
+async def run(config: CellConfig, driver: Driver, brake: BrakeSetting | None = None) -> None:
     """Run until SIGTERM or SIGINT; stop the arm before returning.
 
     Args:
         config: of the cell.
         driver: of its arm.
-        brake: arguments of the watchdog's brake, which stops the arm in real time where the loop does not turn; without
-            them there is no watchdog.
+        brake: with which a watchdog stops the arm in real time where the loop does not turn; None: no watchdog.
 
     Raises:
         OSError: the endpoint or the state directory cannot be used.
@@ -116,7 +115,7 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
         await _run(config, driver, brake)
 
 
-async def _run(config: CellConfig, driver: Driver, brake: Sequence[str]) -> None:
+async def _run(config: CellConfig, driver: Driver, brake: BrakeSetting | None) -> None:
     loop = asyncio.get_running_loop()
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

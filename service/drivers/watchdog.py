@@ -1,6 +1,6 @@
 """The watchdog of a control process: a process of its own that stops the arm when the control loop falls silent.
 
-The loop sends one byte a turn through a pipe. While a run is under way, a silence longer than the limit stops the arm
+The loop sends one beat a turn through a pipe. While a run is under way, a silence longer than the limit stops the arm
 through a connection of the watchdog's own, and so does the end of the pipe: the control process hangs or was killed.
 `python -m service.drivers.watchdog` is the process; `Watchdog` is the loop's side.
 """
@@ -10,16 +10,20 @@ import os
 import select
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from typing import Protocol, Self, assert_never
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, Self
 
 import zenoh
 
 from service.config import CellConfig
+from service.drivers.base import Driver
 from service.drivers.sim_wire import CommandWriter
+from service.drivers.zenoh_sim import ZenohSimDriver
 from service.logs import log_writer
 from wire import keys
 from wire.session import open_session
@@ -29,13 +33,20 @@ REPEAT_S = 0.05
 LAST_STOPS = 20
 """Stops after the end of the pipe; a command may be lost."""
 CONNECT_S = 0.25
-_IDLE, _ARMED = b"\0", b"\1"
+BEAT = struct.Struct("<?Q")
+"""A beat: whether a run is under way, and the word with which the arm takes a stop."""
 
 
 class Brake(Protocol):
     """A way to stop the arm. It may block for some tenths of a second, and never raises."""
 
-    def stop(self) -> None: ...
+    def stop(self, word: int) -> None:
+        """Stop.
+
+        Args:
+            word: of the last beat; for an arm that obeys nobody without one.
+        """
+        ...
 
 
 class ZenohBrake:
@@ -56,7 +67,8 @@ class ZenohBrake:
             express=True,
         )
 
-    def stop(self) -> None:
+    def stop(self, word: int) -> None:
+        self._commands.client = word
         with contextlib.suppress(zenoh.ZError):
             self._publisher.put(self._commands.stop().tobytes())
 
@@ -72,7 +84,7 @@ class DashboardBrake:
     def __init__(self, host: str, port: str) -> None:
         self._address = host, int(port)
 
-    def stop(self) -> None:
+    def stop(self, word: int) -> None:
         with contextlib.suppress(OSError), socket.create_connection(self._address, timeout=CONNECT_S) as connection:
             connection.recv(1024)  # the greeting
             connection.sendall(b"stop\n")
@@ -82,34 +94,51 @@ class DashboardBrake:
 _BRAKES = {"zenoh": ZenohBrake, "dashboard": DashboardBrake}
 
 
-def brake_of(config: CellConfig) -> tuple[str, ...]:
-    """Return the arguments that name the brake of a cell's arm."""
-    match config.cell.driver:
-        case "zenoh_sim":
-            return "zenoh", config.sim.world, config.sim.endpoint
-        case "ur":
-            return () if config.ur is None else ("dashboard", config.ur.host, str(config.ur.dashboard_port))
-        case _ as never:
-            assert_never(never)
+@dataclass(frozen=True, slots=True)
+class BrakeSetting:
+    """The brake of a cell's arm, as the control process knows it.
+
+    Attributes:
+        arguments: of the watchdog process: the kind of brake, and where it acts.
+        word: returns the word with which the arm takes a stop at present; 0 where it needs none.
+    """
+
+    arguments: tuple[str, ...]
+    word: Callable[[], int] = int
+
+
+def brake_of(config: CellConfig, driver: Driver) -> BrakeSetting | None:
+    """Return the brake of a configured arm; None where it has none.
+
+    Args:
+        config: of the cell.
+        driver: of the same arm.
+    """
+    if isinstance(driver, ZenohSimDriver):
+        return BrakeSetting(("zenoh", config.sim.world, config.sim.endpoint), lambda: driver.stop_word)
+    if config.ur is not None:
+        return BrakeSetting(("dashboard", config.ur.host, str(config.ur.dashboard_port)))
+    return None
 
 
 class Watchdog:
     """The control loop's side: keeps the watchdog quiet.
 
     Args:
-        brake: arguments from `brake_of`.
+        brake: of the arm.
         limit_s: longest silence, s.
 
     Raises:
         OSError: no process can be made.
     """
 
-    def __init__(self, brake: Sequence[str], limit_s: float) -> None:
+    def __init__(self, brake: BrakeSetting, limit_s: float) -> None:
+        self._word = brake.word
         read, self._write = os.pipe()
         os.set_blocking(self._write, False)
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "service.drivers.watchdog", str(read), str(limit_s), *brake],
+                [sys.executable, "-P", "-m", "service.drivers.watchdog", str(read), str(limit_s), *brake.arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 pass_fds=(read,),
@@ -137,7 +166,7 @@ class Watchdog:
             armed: a run is under way, so a silence from now on stops the arm.
         """
         try:
-            os.write(self._write, _ARMED if armed else _IDLE)
+            os.write(self._write, BEAT.pack(armed, self._word()))
         except BlockingIOError:
             return True  # it has enough to read
         except OSError:
@@ -154,21 +183,23 @@ def guard(handle: int, limit_s: float, brake: Brake) -> None:
         brake: of the arm.
     """
     armed = tripped = False
+    word = 0
     while True:
         patience_s = None if not armed else REPEAT_S if tripped else limit_s
         if not select.select([handle], [], [], patience_s)[0]:
-            brake.stop()
+            brake.stop(word)
             if not tripped:
                 _report(f"watchdog: no sign of the control loop for {limit_s:g} s in a run: the arm is stopped")
             tripped = True
-        elif beats := os.read(handle, 65_536):
-            armed = beats.endswith(_ARMED)
+        elif beats := os.read(handle, BEAT.size * 4096):
+            # A beat is written as a whole, and only whole ones are read
+            armed, word = BEAT.unpack(beats[-BEAT.size :])
             tripped = False
         else:
             break
     if armed:
         for _ in range(LAST_STOPS):
-            brake.stop()
+            brake.stop(word)
             time.sleep(REPEAT_S)
         _report("watchdog: the control process ended in a run: the arm was stopped")
 

@@ -34,6 +34,7 @@ class WorldHold:
     Attributes:
         claimant: payload of a claim.
         word: word of the claim in force, which signs commands; 0 without one.
+        stop_word: second word of the claim, with which the world takes a STOP alone; 0 without one.
     """
 
     def __init__(self, world: str, name: str, cell: str) -> None:
@@ -42,7 +43,7 @@ class WorldHold:
         self.claimant = json.dumps({"cell": cell, "host": socket.gethostname()[:64], "pid": os.getpid()}).encode()
         self._seq = 0
         self._refused = 0
-        self.word = 0
+        self.word = self.stop_word = 0
 
     async def claim(self, session: zenoh.Session) -> int:
         """Claim the world, or renew the claim.
@@ -86,7 +87,7 @@ class WorldHold:
         if self.word:
             with contextlib.suppress(QueryRefusedError):  # another client has taken it over
                 await query(session, self.signed(keys.RELEASE), b"", RELEASE_S)
-            self.word = 0
+            self.word = self.stop_word = 0
 
     @property
     def selector(self) -> str:
@@ -105,6 +106,7 @@ class WorldHold:
         try:
             answer = json.loads(reply)
             word, refused = int(answer["client"]), int(answer["refused"])
+            self.stop_word = int(answer["stop"])
         except (ValueError, KeyError, TypeError) as error:
             text = f"{self._name}: its answer to a claim cannot be read: {error}"
             raise DriverError(FaultCode.PROTOCOL, text) from error

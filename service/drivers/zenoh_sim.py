@@ -80,6 +80,11 @@ class ZenohSimDriver:
         return self._host_clock
 
     @property
+    def stop_word(self) -> int:
+        """Word with which the world takes a STOP of this driver's watchdog; 0 without a claim."""
+        return self._hold.stop_word
+
+    @property
     def samples_dropped(self) -> int:
         return self._handover.dropped
 
@@ -129,8 +134,12 @@ class ZenohSimDriver:
         return self._commands.seq
 
     def stop(self) -> None:
-        self._pending.clear()
+        self._pending = [order for order in self._pending if order[0]["kind"] == records.Kind.STOP_BLIND]
         self._send(self._commands.stop())
+
+    def stop_blind(self) -> None:
+        self._pending.clear()
+        self._send(self._commands.stop(blind=True))
 
     def escalate(self) -> None:
         self.stop()

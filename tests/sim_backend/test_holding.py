@@ -111,3 +111,16 @@ def test_a_claim_that_does_not_say_who_claims_is_refused(holding: Holding, paylo
     with pytest.raises(RequestError, match="claim: "):
         holding.claim("", payload)
     assert holding.holder is None
+
+
+def test_70_a_watchdog_has_a_word_for_stops_alone_each_once(holding: Holding) -> None:
+    document = json.dumps({"cell": "left", "host": "bench", "pid": 7}).encode()
+    words = json.loads(holding.claim("", document))
+    assert holding.admits(command(Kind.ENGAGE, words["client"], 5))
+    assert not holding.admits(command(Kind.TARGET, words["stop"], 1))
+    assert holding.admits(command(Kind.STOP, words["stop"], 1))
+    assert not holding.admits(command(Kind.STOP, words["stop"], 1)), "a copy"
+    assert holding.admits(command(Kind.TARGET, words["client"], 6)), "the holder's own numbers go on"
+    holding.release(f"client={words['client']};seq=1")
+    claim(holding, "right")
+    assert not holding.admits(command(Kind.STOP, words["stop"], 2)), "the word of an earlier claim"

@@ -16,12 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zenoh
 
 from service.cell.lateness import Lateness
 from service.client import CellClient
 from service.drivers.base import Program, Sample
+from service.drivers.sim_wire import read_sample
 from service.drivers.watchdog import Watchdog, brake_of
-from service.drivers.zenoh_sim import ZenohSimDriver
 from service.faults import FaultCode
 from service.messages import CellState, Counters, Latch, StartRequest
 from service.notify import Notifier
@@ -29,8 +30,10 @@ from tests.service.cell.conftest import EASY
 from tests.service.cell.test_process import configured, control_process, until
 from tests.service.drivers.ur.emulated import emulated, ur_cell_config
 from tests.service.sim_server import free_endpoint, sim_process
+from wire import keys, records
 from wire.records import StopReason
 from wire.rtde.modes import RuntimeState
+from wire.session import close_session, open_session
 from wire.task import Task
 
 SAMPLE_AGE_S = 0.25
@@ -38,18 +41,18 @@ SAMPLE_AGE_S = 0.25
 
 
 class Witness:
-    """Keeps what the simulator says to a session of its own."""
+    """Keeps what the simulator says to everybody."""
 
-    def __init__(self) -> None:
+    def __init__(self, session: zenoh.Session) -> None:
         self.samples: list[Sample] = []
-
-    def on_sample(self, sample: Sample) -> None:
-        self.samples.append(sample)
-
-    def on_link_fault(self, code: FaultCode, text: str) -> None: ...
+        session.declare_subscriber(keys.STATE.format(world="world-1"), self._take)
 
     def engaged(self) -> bool:
         return bool(self.samples) and self.samples[-1].program is Program.ENGAGED
+
+    def _take(self, message: zenoh.Sample) -> None:
+        states = records.decode(message.payload.to_bytes(), records.STATE)
+        self.samples.append(read_sample(states, time.monotonic()))
 
 
 @dataclass
@@ -93,15 +96,20 @@ async def running(tmp_path: Path) -> AsyncIterator[Stand]:
     )
     with sim_process(sim):
         async with control_process(path, endpoint) as (process, client):
-            observer, witness = ZenohSimDriver("world-1", [sim], "real_time"), Witness()
-            await observer.connect(witness)
+            session = open_session(connect=[sim])
+            witness = Witness(session)
             try:
                 await client.start(StartRequest(recipe="triangle-2mm", seed=EASY))
                 await until(lambda: client.state is CellState.RUNNING and witness.engaged())
                 yield Stand(process, client, witness)
             finally:
                 process.send_signal(signal.SIGCONT)
-                await observer.close()
+                close_session(session)
+
+
+def run_time_s(pid: int) -> float:
+    """Return the time for which a process's main thread has run."""
+    return int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) * 1e-9
 
 
 async def test_50_a_loop_that_hangs_in_a_run_is_stopped_from_outside(tmp_path: Path) -> None:
@@ -139,8 +147,12 @@ async def test_50_a_hog_that_delays_every_turn_latches_overrun(tmp_path: Path) -
         while stand.witness.engaged():
             stand.process.send_signal(signal.SIGSTOP)
             await asyncio.sleep(0.05)
+            ran = run_time_s(stand.process.pid)
             stand.process.send_signal(signal.SIGCONT)
-            await asyncio.sleep(0.003)
+            # Long enough for one turn, on a loaded machine too, and too short for two
+            while stand.witness.engaged() and run_time_s(stand.process.pid) - ran < 1e-3:
+                await asyncio.sleep(0.001)
+        stand.process.send_signal(signal.SIGCONT)
         await until(lambda: stand.client.state is CellState.LATCHED)
         assert stand.latch is not None
         assert stand.latch.code is FaultCode.OVERRUN, stand.latch.text
@@ -166,7 +178,9 @@ async def test_50_the_watchdog_of_a_ur_ends_the_program_through_the_dashboard(tm
     async with emulated(ur_cell_config(tmp_path / "state", tmp_path / "none.onnx")) as arm:
         await arm.driver.connect(arm)
         await arm.driver.prepare(Task(3, "tr", 2e-3, "easy"))
-        with Watchdog(brake_of(arm.config), 0.5) as watchdog:
+        brake = brake_of(arm.config, arm.driver)
+        assert brake is not None
+        with Watchdog(brake, 0.5) as watchdog:
             watchdog.beat(armed=False)
             await asyncio.sleep(1.0)  # no word, but no run either
             for _ in range(20):
