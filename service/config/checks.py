@@ -1,10 +1,11 @@
 """Contradictions between fields. Each function yields one sentence per contradiction; the sentence names the fields."""
 
 from collections.abc import Iterator, Mapping
+from math import hypot
 
 from service.config.limits import LimitsSection, PreflightSection
 from service.config.sections import CellSection, RecipeSection
-from service.config.ur import UrSection
+from service.config.ur import RATINGS, UrSection
 
 
 def within_limits(limits: LimitsSection) -> Iterator[str]:
@@ -25,6 +26,15 @@ def within_preflight(preflight: PreflightSection) -> Iterator[str]:
         yield "preflight.bias_force_n must be below preflight.contact_force_n"
 
 
+def between_limits_and_preflight(limits: LimitsSection, preflight: PreflightSection) -> Iterator[str]:
+    """Yield requirements before the arm moves that the ceiling makes pointless."""
+    if preflight.contact_force_n >= limits.force_ceiling_n:
+        yield (
+            f"preflight.contact_force_n is {preflight.contact_force_n:g} N, it must be below limits.force_ceiling_n "
+            f"({limits.force_ceiling_n:g} N)"
+        )
+
+
 def recipes_beyond_limits(recipes: Mapping[str, RecipeSection], limits: LimitsSection) -> Iterator[str]:
     """Yield numbers of recipes that the cell's limits do not allow."""
     for name, recipe in recipes.items():
@@ -39,9 +49,50 @@ def recipes_beyond_limits(recipes: Mapping[str, RecipeSection], limits: LimitsSe
                 f"recipes.{name}.approach_speed_m_s is {recipe.approach_speed_m_s}, above limits.max_speed_m_s "
                 f"({limits.max_speed_m_s})"
             )
+        x, y, z = recipe.nominal_hole_m
+        for field, point in (
+            ("start_position_m", recipe.start_position_m),
+            ("nominal_hole_m, less success_depth_m,", (x, y, z - recipe.success_depth_m)),
+        ):
+            if not _inside(point, limits.workspace_m):
+                yield f"recipes.{name}.{field} is {_metres(point)}, outside limits.workspace_m"
 
 
 def without_robot(cell: CellSection, ur: UrSection | None) -> Iterator[str]:
     """Yield the section that the driver lacks."""
     if cell.driver == "ur" and ur is None:
         yield "cell.driver is ur, so the section [ur] must say where the controller is and what it carries"
+
+
+def beyond_arm(ur: UrSection, recipes: Mapping[str, RecipeSection], limits: LimitsSection) -> Iterator[str]:
+    """Yield numbers beyond the ratings of the arm."""
+    rating = RATINGS[ur.arm]
+    for field, value, most, unit in (
+        ("payload_kg", ur.payload_kg, rating.payload_kg, "kg"),
+        ("force_range_n", ur.force_range_n, rating.force_range_n, "N"),
+        ("torque_range_nm", ur.torque_range_nm, rating.torque_range_nm, "N·m"),
+    ):
+        if value > most:
+            yield f"ur.{field} is {value:g} {unit}, a {ur.arm} (ur.arm) is rated for {most:g} {unit}"
+    farthest_m = rating.reach_m + hypot(*ur.tcp_m[:3])
+    for name, recipe in recipes.items():
+        for field, point in (("start_position_m", recipe.start_position_m), ("nominal_hole_m", recipe.nominal_hole_m)):
+            if hypot(*point) > farthest_m:
+                yield (
+                    f"recipes.{name}.{field} is {_metres(point)}, {hypot(*point):.3g} m from the base; a {ur.arm} "
+                    f"(ur.arm) with this tool reaches {farthest_m:.3g} m"
+                )
+    if any(abs(value) > farthest_m for corner in limits.workspace_m for value in corner):
+        yield (
+            f"limits.workspace_m bounds nothing: a {ur.arm} (ur.arm) with this tool reaches {farthest_m:.3g} m, and a "
+            "corner lies beyond"
+        )
+
+
+def _inside(point: tuple[float, float, float], box: tuple[tuple[float, ...], tuple[float, ...]]) -> bool:
+    lower, upper = box
+    return all(low <= value <= high for low, value, high in zip(lower, point, upper, strict=True))
+
+
+def _metres(point: tuple[float, float, float]) -> str:
+    return f"[{', '.join(f'{value:.4g}' for value in point)}] m"

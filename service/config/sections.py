@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from service.config.fields import Endpoint, Finite, Force, Name, Port, Position, Section
+from service.config.fields import Endpoint, Force, Host, Name, Port, Position, Section, Turn, count, number
 from wire.endpoints import DEFAULT_ENDPOINT, DEFAULT_WORLD
 from wire.modes import LockMode, TimeMode
 from wire.task import Conditions
@@ -49,17 +49,17 @@ class RecipeSection(Section):
     """
 
     part: Name
-    clearance_m: Annotated[float, Field(ge=0.05e-3, le=6e-3, allow_inf_nan=False)]
+    clearance_m: Annotated[float, number(0.05e-3, 6e-3, "range of clearances that the simulated world has")]
     policy: Path
     policy_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
     force_ceiling_n: Force | None = None
     start_position_m: Position
-    start_yaw_rad: Finite
+    start_yaw_rad: Turn
     nominal_hole_m: Position
-    hover_m: Annotated[float, Field(ge=0.005, le=0.1, allow_inf_nan=False)] = 0.025
-    approach_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = 0.08
-    max_steps: Annotated[int, Field(ge=1, le=2000)] | None = None
-    success_depth_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 3.0e-3
+    hover_m: Annotated[float, number(0.005, 0.1, "the hole's height is uncertain; a long search")] = 0.025
+    approach_speed_m_s: Annotated[float, number(1e-3, 0.25, "the arm hardly moves; speed beside people")] = 0.08
+    max_steps: Annotated[int, count(1, 2000, "no step; minutes of pushing")] | None = None
+    success_depth_m: Annotated[float, number(1e-3, 0.05, "a tilted peg on the rim; deeper than pegs are long")] = 3.0e-3
     retract: bool = True
     conditions: Conditions = "standard"
     allow_lock: Annotated[tuple[LockMode, ...], Field(min_length=1)] = ("paper",)
@@ -92,7 +92,7 @@ class CameraSection(Section):
 
     endpoint: Endpoint
     key: Annotated[str, Field(min_length=1, pattern=r"^[^*$#?\s]+$")]
-    max_age_s: Annotated[float, Field(gt=0.0, le=5.0, allow_inf_nan=False)] = 0.2
+    max_age_s: Annotated[float, number(0.01, 5.0, "no camera is that fast; the hole may have moved")] = 0.2
 
 
 class ApiSection(Section):
@@ -107,7 +107,7 @@ class ApiSection(Section):
         allowed_hosts: names in a `Host` header that are accepted besides the loopback ones.
     """
 
-    host: str = "127.0.0.1"
+    host: Host = "127.0.0.1"
     port: Port = 8000
     database: str = ""
     autostart: bool = True
@@ -124,4 +124,4 @@ class ClientLossSection(Section):
     """
 
     policy: Literal["continue", "stop"] = "continue"
-    limit_s: Annotated[float, Field(ge=0.2, le=60.0, allow_inf_nan=False)] = 2.0
+    limit_s: Annotated[float, number(0.2, 60.0, "clients are heard every 0.1 s; longer than a run")] = 2.0
