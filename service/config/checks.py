@@ -6,6 +6,7 @@ from math import hypot
 from service.config.limits import LimitsSection, PreflightSection
 from service.config.sections import CellSection, RecipeSection
 from service.config.ur import RATINGS, UrSection
+from wire.impact import fastest_m_s
 
 
 def within_limits(limits: LimitsSection) -> Iterator[str]:
@@ -44,11 +45,7 @@ def recipes_beyond_limits(recipes: Mapping[str, RecipeSection], limits: LimitsSe
                 f"recipes.{name}.force_ceiling_n is {ceiling} N, above limits.force_ceiling_n "
                 f"({limits.force_ceiling_n} N)"
             )
-        if recipe.approach_speed_m_s > limits.max_speed_m_s:
-            yield (
-                f"recipes.{name}.approach_speed_m_s is {recipe.approach_speed_m_s}, above limits.max_speed_m_s "
-                f"({limits.max_speed_m_s})"
-            )
+        yield from _too_fast(name, recipe, limits)
         x, y, z = recipe.nominal_hole_m
         for field, point in (
             ("start_position_m", recipe.start_position_m),
@@ -86,6 +83,22 @@ def beyond_arm(ur: UrSection, recipes: Mapping[str, RecipeSection], limits: Limi
         yield (
             f"limits.workspace_m bounds nothing: a {ur.arm} (ur.arm) with this tool reaches {farthest_m:.3g} m, and a "
             "corner lies beyond"
+        )
+
+
+def _too_fast(name: str, recipe: RecipeSection, limits: LimitsSection) -> Iterator[str]:
+    """Yield an approach speed beyond the cell's, or beyond what the part bears under the lightest law allowed."""
+    speed = recipe.approach_speed_m_s
+    if speed is None:
+        return
+    if speed > limits.max_speed_m_s:
+        yield f"recipes.{name}.approach_speed_m_s is {speed}, above limits.max_speed_m_s ({limits.max_speed_m_s})"
+    bears_n = recipe.bears_n(limits.force_ceiling_n)
+    fastest = fastest_m_s(bears_n, min(limits.min_inertia[:3]), limits.contact_n_m)
+    if speed > fastest:
+        yield (
+            f"recipes.{name}.approach_speed_m_s is {speed}: the part bears {bears_n:g} N for a moment (impact_n, or "
+            f"twice its force ceiling), and a touch at more than {fastest:.3f} m/s gives more"
         )
 
 

@@ -3,6 +3,7 @@
 from typing import Annotated
 
 from service.config.fields import Box, Force, Section, Torque, count, number
+from wire.impact import CONTACT_N_M
 from wire.limits import MAX_SPEED, MAX_STEP, TARGET_AGE_S, TILT_RAD, TORQUE_CEILING_NM, YAW_HALF_RANGE_RAD
 
 Stiffness = Annotated[float, number(10.0, 5000.0, "the tool sags; softer than the arm itself, which has 7500 N/m")]
@@ -50,6 +51,8 @@ class LimitsSection(Section):
         clamped_steps: outrageous policy steps in a row before the cell latches BOUNDS.
         stop_confirm_s: time in which standstill must be measured after a stop.
         policy_deadline_s: time of one inference at which the cell latches POLICY_DEADLINE.
+        contact_n_m: stiffness of the stiffest thing that the tool may meet, N/m: tool, part and fixture in series. The
+            speed of approach and search is limited by the blow that it would give.
     """
 
     force_ceiling_n: Force
@@ -79,6 +82,7 @@ class LimitsSection(Section):
     clamped_steps: Annotated[int, count(1, 20, "the first one latches; two seconds of outrageous steps")] = 5
     stop_confirm_s: Annotated[float, number(0.05, 2.0, "shorter than a stop; longer than anybody waits")] = 0.5
     policy_deadline_s: Annotated[float, number(0.005, 0.5, "no inference is that fast; half a second held")] = 0.12
+    contact_n_m: Annotated[float, number(1e3, 1e6, "softer than a rubber foot; steel on steel")] = CONTACT_N_M
 
 
 class PreflightSection(Section):

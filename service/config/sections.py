@@ -7,6 +7,8 @@ from pydantic import Field
 
 from service.config.fields import Endpoint, Force, Host, Name, Port, Position, Section, Turn, count, number
 from wire.endpoints import DEFAULT_ENDPOINT, DEFAULT_WORLD
+from wire.impact import IMPACT_SHARE
+from wire.limits import FORCE_HARD_MAXIMUM_N
 from wire.modes import LockMode, TimeMode
 from wire.task import Conditions
 
@@ -40,7 +42,8 @@ class RecipeSection(Section):
         start_yaw_rad: yaw of the peg during the approach.
         nominal_hole_m: centre of the hole's mouth, used where no camera estimates it.
         hover_m: height above the hole's mouth at which the approach ends.
-        approach_speed_m_s: speed of the scripted moves.
+        impact_n: momentary true force that the part bears; None: twice its force ceiling.
+        approach_speed_m_s: speed of the scripted moves; None: 0.08 m/s, or less where the part would not bear the blow.
         max_steps: policy steps before the run fails, where fewer than the policy's own.
         success_depth_m: depth of the peg's bottom below the surface that counts as inserted.
         retract: whether the tool moves up at the end of a run; otherwise it stays where the run ended.
@@ -57,12 +60,21 @@ class RecipeSection(Section):
     start_yaw_rad: Turn
     nominal_hole_m: Position
     hover_m: Annotated[float, number(0.005, 0.1, "the hole's height is uncertain; a long search")] = 0.025
-    approach_speed_m_s: Annotated[float, number(1e-3, 0.25, "the arm hardly moves; speed beside people")] = 0.08
+    impact_n: Annotated[float, number(1.0, 2.0 * FORCE_HARD_MAXIMUM_N, "the sensor's noise; a broken part")] | None = (
+        None
+    )
+    approach_speed_m_s: Annotated[float, number(1e-3, 0.25, "it hardly moves; speed beside people")] | None = None
     max_steps: Annotated[int, count(1, 2000, "no step; minutes of pushing")] | None = None
     success_depth_m: Annotated[float, number(1e-3, 0.05, "a tilted peg on the rim; deeper than pegs are long")] = 3.0e-3
     retract: bool = True
     conditions: Conditions = "standard"
     allow_lock: Annotated[tuple[LockMode, ...], Field(min_length=1)] = ("paper",)
+
+    def bears_n(self, cell_ceiling_n: float) -> float:
+        """Return the momentary true force that the part bears, N, given the cell's force ceiling."""
+        if self.impact_n is not None:
+            return self.impact_n
+        return IMPACT_SHARE * (cell_ceiling_n if self.force_ceiling_n is None else self.force_ceiling_n)
 
 
 class SimSection(Section):

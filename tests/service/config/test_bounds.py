@@ -31,7 +31,7 @@ def whole() -> dict[str, Any]:
     return document
 
 
-NUMBERS_OF_A_RECIPE = {"force_ceiling_n": 15.0, "max_steps": 100}
+NUMBERS_OF_A_RECIPE = {"force_ceiling_n": 15.0, "impact_n": 40.0, "max_steps": 100}
 
 
 def leaves(node: Any, at: Leaf = ()) -> Iterator[Leaf]:
@@ -167,6 +167,31 @@ def test_80_a_start_pose_out_of_the_arms_reach_is_refused(tmp_path: Path) -> Non
         load(path)
     path.write_text(path.read_text().replace("payload_kg", 'arm = "UR10e"\npayload_kg', 1))
     load(path)
+
+
+@pytest.mark.parametrize(
+    ("recipe", "fastest"),
+    [("force_ceiling_n = 10.0", 0.038), ("impact_n = 12.0", 0.023), ("force_ceiling_n = 10.0\nimpact_n = 40.0", None)],
+)
+def test_an_approach_into_a_blow_that_the_part_does_not_bear_is_refused(
+    tmp_path: Path, recipe: str, fastest: float | None
+) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(REAL.read_text().replace('part = "tr"', f'part = "tr"\n{recipe}'))
+    if fastest is None:
+        load(path)
+        return
+    with pytest.raises(ConfigError, match=rf"approach_speed_m_s is 0\.05: .* more than {fastest} m/s gives more"):
+        load(path)
+    path.write_text(path.read_text().replace("approach_speed_m_s = 0.05", f"approach_speed_m_s = {fastest - 0.001}"))
+    load(path)
+
+
+def test_a_stiffer_fixture_must_be_approached_more_slowly(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(REAL.read_text().replace("[limits]", "[limits]\ncontact_n_m = 200e3"))
+    with pytest.raises(ConfigError, match=r"approach_speed_m_s is 0\.05: the part bears 40 N"):
+        load(path)
 
 
 def test_an_arm_that_is_rated_for_more_bears_more(tmp_path: Path) -> None:
