@@ -10,12 +10,14 @@ import typer
 from service.commands.configured import ConfigPath, load_cell, ur_section
 from service.config import CellConfig
 from service.drivers.sim_process import Simulator, simulator
+from service.logs import take_over_stderr
 from wire.exits import Exit
 
 
 def control(config: ConfigPath = None) -> None:
     """Run the control process of a cell until SIGTERM or Ctrl-C."""
     cell = load_cell(config)
+    take_over_stderr()
     try:
         with _world(cell) as world:
             _run(cell, world)
@@ -54,6 +56,7 @@ def _run(cell: CellConfig, world: Simulator) -> None:
 
     from service.cell import process
     from service.commands.drivers import make_driver
+    from service.drivers.watchdog import brake_of
 
     driver = make_driver(cell)
     world.await_listening()
@@ -61,7 +64,7 @@ def _run(cell: CellConfig, world: Simulator) -> None:
     async def run() -> None:
         watch = asyncio.create_task(world.watch(), name="simulator")
         try:
-            await process.run(cell, driver)
+            await process.run(cell, driver, brake_of(cell))
         finally:
             watch.cancel()
 
