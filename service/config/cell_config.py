@@ -14,7 +14,7 @@ from service.config.checks import (
     without_robot,
 )
 from service.config.fields import Name
-from service.config.limits import LimitsSection, PreflightSection
+from service.config.limits import LimitsSection, PreflightSection, WitnessSection
 from service.config.sections import ApiSection, CameraSection, CellSection, ClientLossSection, RecipeSection, SimSection
 from service.config.ur import UrSection
 
@@ -29,6 +29,7 @@ class CellConfig(BaseSettings):
     cell: CellSection
     limits: LimitsSection
     preflight: PreflightSection = PreflightSection()
+    witness: WitnessSection = WitnessSection()
     sim: SimSection = SimSection()
     ur: UrSection | None = None
     camera: CameraSection | None = None

@@ -13,6 +13,8 @@ def within_limits(limits: LimitsSection) -> Iterator[str]:
     """Yield contradictions among the limits."""
     if limits.policy_deadline_s >= limits.target_age_s:
         yield "limits.policy_deadline_s must be below limits.target_age_s, or the arm stops first"
+    if limits.stuck_channel_samples < limits.stuck_samples:
+        yield "limits.stuck_channel_samples must not be below limits.stuck_samples"
     for name, least, most in (
         ("damping", limits.min_damping, limits.max_damping),
         ("inertia", limits.min_inertia, limits.max_inertia),
@@ -64,6 +66,8 @@ def without_robot(cell: CellSection, ur: UrSection | None) -> Iterator[str]:
 def beyond_arm(ur: UrSection, recipes: Mapping[str, RecipeSection], limits: LimitsSection) -> Iterator[str]:
     """Yield numbers beyond the ratings of the arm."""
     rating = RATINGS[ur.arm]
+    if ur.model is not None and ur.model.rstrip("e") != ur.arm.rstrip("e"):
+        yield f"ur.model is {ur.model}, ur.arm is {ur.arm}: name one arm"
     for field, value, most, unit in (
         ("payload_kg", ur.payload_kg, rating.payload_kg, "kg"),
         ("force_range_n", ur.force_range_n, rating.force_range_n, "N"),

@@ -1,4 +1,4 @@
-"""Limits that no run may exceed, and requirements before the arm moves."""
+"""Limits that no run may exceed, requirements before the arm moves, and agreement of the sensor with the joints."""
 
 from typing import Annotated
 
@@ -25,7 +25,10 @@ class LimitsSection(Section):
         force_ceiling_n: largest resultant force of any single sample, N.
         torque_ceiling_nm: largest resultant torque at the TCP of any single sample, N·m.
         sample_age_s: age of the newest sample, and gap between two, at which the cell latches STALE.
-        stuck_samples: bit-identical wrenches in a row at which the cell latches SENSOR_STUCK.
+        stuck_samples: samples in a row, bit-identical in all forces or all torques, at which the cell latches
+            SENSOR_STUCK.
+        stuck_channel_samples: the same for one channel. A sensor that is quantised more coarsely than its noise needs
+            more.
         target_age_s: time without a target after which the arm's own controller stops.
         max_step_m: largest change between two targets, and largest distance of a target from the measured position.
         max_turn_rad: the same for the yaw.
@@ -59,6 +62,7 @@ class LimitsSection(Section):
     torque_ceiling_nm: Torque = TORQUE_CEILING_NM
     sample_age_s: Annotated[float, number(0.006, 0.5, "three samples; half a second blind")] = 0.05
     stuck_samples: Annotated[int, count(2, 100, "one sample repeats nothing; 0.2 s blind")] = 10
+    stuck_channel_samples: Annotated[int, count(2, 200, "one sample repeats nothing; 0.4 s blind")] = 25
     target_age_s: Annotated[float, number(0.02, 1.0, "transport alone; a second without a host")] = TARGET_AGE_S
     max_step_m: Annotated[float, number(1e-4, 0.05, "the arm hardly moves; a jump")] = MAX_STEP[0]
     max_turn_rad: Annotated[float, number(1e-3, 0.5, "the arm hardly turns; a jump")] = MAX_STEP[1]
@@ -113,3 +117,19 @@ class PreflightSection(Section):
     tilt_rad: Annotated[float, number(1e-3, 0.1, "less than the arm repeats; another pose")] = 0.02
     unzeroed_force_n: Annotated[float, number(1.0, 30.0, "the sensor's own bias; a pressed tool")] = 12.0
     unzeroed_torque_nm: Annotated[float, number(0.1, 5.0, "the sensor's own bias; a pressed tool")] = 2.5
+
+
+class WitnessSection(Section):
+    """Agreement of the force/torque sensor with the arm's joints, for an arm that gives their forces.
+
+    `service/safety/witness.py` compares them.
+
+    Attributes:
+        force_n: difference of their forces at which the cell latches SENSOR_INVALID.
+        time_s: time constant of the mean over which they are compared.
+        rest_force_n: largest force that the joints may feel before a run, with the configured payload and a free tool.
+    """
+
+    force_n: Annotated[float, number(1.0, 30.0, "the joints' own friction; a whole ceiling apart")] = 12.0
+    time_s: Annotated[float, number(0.002, 0.1, "one sample; longer than a blow lasts")] = 0.01
+    rest_force_n: Annotated[float, number(1.0, 30.0, "the joints' own friction; a pressed tool")] = 6.0

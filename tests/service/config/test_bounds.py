@@ -14,6 +14,7 @@ from service.config import CellConfig, ConfigError, load
 ROOT = Path(__file__).parents[3]
 REAL = ROOT / "config" / "ur3e.toml"
 SHIPPED = sorted((ROOT / "config").glob("*.toml"))
+TEN = 'model = "UR10"\narm = "UR10e"'
 Leaf = tuple[str | int, ...]
 
 CENTRED = {"payload_com_m", "tcp_m", "start_position_m", "nominal_hole_m", "start_yaw_rad", "workspace_m"}
@@ -165,7 +166,7 @@ def test_80_a_start_pose_out_of_the_arms_reach_is_refused(tmp_path: Path) -> Non
     path.write_text(text.replace("[0.40, -0.01, 0.30]]", "[0.69, -0.01, 0.30]]"))
     with pytest.raises(ConfigError, match=r"start_position_m is .* 0\.712 m from the base; a UR3e .* reaches 0\.69 m"):
         load(path)
-    path.write_text(path.read_text().replace("payload_kg", 'arm = "UR10e"\npayload_kg', 1))
+    path.write_text(path.read_text().replace('model = "UR3"', TEN))
     load(path)
 
 
@@ -196,8 +197,8 @@ def test_a_stiffer_fixture_must_be_approached_more_slowly(tmp_path: Path) -> Non
 
 def test_an_arm_that_is_rated_for_more_bears_more(tmp_path: Path) -> None:
     path = tmp_path / "cell.toml"
-    text = REAL.read_text().replace("payload_kg = 0.93", 'arm = "UR10e"\npayload_kg = 12.5\nforce_range_n = 100.0')
-    path.write_text(text)
+    text = REAL.read_text().replace("payload_kg = 0.93", "payload_kg = 12.5\nforce_range_n = 100.0")
+    path.write_text(text.replace('model = "UR3"', TEN))
     config = load(path)
     assert config.ur is not None
     assert config.ur.payload_kg == 12.5
