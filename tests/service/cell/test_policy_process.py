@@ -201,7 +201,7 @@ async def test_28_a_policy_replaced_on_disk_runs_on_and_the_next_start_is_refuse
     async with real_cell(tmp_path, free_endpoint, policy) as (cell, _):
         run_id = await started(cell)
         policy.write_bytes(policies.still(tmp_path).read_bytes())
-        await until(lambda: cell.state is CellState.READY)
+        await until(lambda: cell.runs.find(run_id) is not None and cell.runs.active is None)
         run = cell.runs.find(run_id)
         assert run is not None
         assert run.state is RunState.SUCCEEDED, run.text
