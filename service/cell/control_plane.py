@@ -1,12 +1,13 @@
 """The cell on Zenoh: commands, queries and publications. `service/messages.py` has the keys.
 
-Zenoh's threads decode nothing and touch nothing of the cell: they hand each query to the event loop. A stop is carried
-out in the turn of the loop in which it arrives, even while other queries wait.
+Zenoh's threads decode nothing and touch nothing of the cell: they hand each query to the event loop, with the cell's
+mark in the order of stops at its arrival. A stop is carried out in the turn of the loop in which it arrives, even while
+other queries wait, and every start that arrived before it is refused.
 """
 
 import asyncio
-from collections.abc import Awaitable, Callable
-from typing import TypeVar
+from collections.abc import Awaitable, Callable, Coroutine
+from typing import Any, TypeVar
 
 import structlog
 import zenoh
@@ -28,17 +29,21 @@ from service.messages import (
     RunsResult,
     StartRequest,
     StatusResult,
+    StopMark,
     StopRequest,
     Telemetry,
 )
 from wire.session import call_in_loop
 
 MAX_REQUEST_BYTES = 16_384
+KEPT_S = 0.05
+"""Longest wait of a stop's answer for its cause to be written, s. The stop itself waits for nothing."""
 MAX_OPEN_QUERIES = 64
 """Largest number of requests that wait for their answer; more are refused. A stop is not counted."""
 
 RequestT = TypeVar("RequestT", bound=Message)
-Handler = Callable[[zenoh.Query, bytes], None]
+Handler = Callable[[zenoh.Query, bytes, StopMark], None]
+"""Takes a query, its payload and the cell's mark when it arrived."""
 
 _log = structlog.get_logger("service.control_plane")
 
@@ -95,15 +100,22 @@ class ControlPlane:
 
     # --- requests
 
-    def _on_stop(self, query: zenoh.Query, payload: bytes) -> None:
+    def _on_stop(self, query: zenoh.Query, payload: bytes, arrived: StopMark) -> None:
         # A request that cannot be read stops, too.
         try:
             request = StopRequest.model_validate_json(payload or b"{}")
         except ValidationError:
             request = StopRequest(reason="the request could not be read")
-        self._reply(query, self._cell.stop(request))
+        answer = self._cell.stop(request)
+        self._put(self._status, answer.status)  # its mark reaches every client before the next heartbeat
+        self._spawn(self._answer_once_kept(query, answer))
 
-    def _on_status(self, query: zenoh.Query, payload: bytes) -> None:
+    async def _answer_once_kept(self, query: zenoh.Query, answer: StatusResult) -> None:
+        """Answer a stop once its cause survives the end of this process, and after `KEPT_S` in any case."""
+        await self._cell.journal.latch_is_kept(KEPT_S)
+        self._reply(query, answer)
+
+    def _on_status(self, query: zenoh.Query, payload: bytes, arrived: StopMark) -> None:
         self._reply(query, StatusResult(status=self._cell.status()))
 
     async def _start(self, request: StartRequest) -> Message:
@@ -122,7 +134,7 @@ class ControlPlane:
         return RunResult(run=run, created=False)
 
     def _answering(self, model: type[RequestT], answer: Callable[[RequestT], Awaitable[Message]]) -> Handler:
-        def handle(query: zenoh.Query, payload: bytes) -> None:
+        def handle(query: zenoh.Query, payload: bytes, arrived: StopMark) -> None:
             if len(self._tasks) >= MAX_OPEN_QUERIES:
                 self._reply(query, self._refused(RefusalReason.INTERNAL, "too many requests are waiting: try again"))
                 return
@@ -133,11 +145,16 @@ class ControlPlane:
                 field = ".".join(str(part) for part in first["loc"])
                 self._reply(query, self._refused(RefusalReason.INVALID_REQUEST, f"{field}: {first['msg']}", field))
                 return
-            task = self._loop.create_task(self._carry_out(query, answer(request)))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            if isinstance(request, StartRequest) and request.after is None:
+                request = request.model_copy(update={"after": arrived})
+            self._spawn(self._carry_out(query, answer(request)))
 
         return handle
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        task = self._loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     async def _carry_out(self, query: zenoh.Query, answer: Awaitable[Message]) -> None:
         try:
@@ -152,7 +169,8 @@ class ControlPlane:
     def _serve(self, session: zenoh.Session, key: str, handle: Handler) -> None:
         def on_query(query: zenoh.Query) -> None:
             payload = b"" if query.payload is None else query.payload.to_bytes()
-            call_in_loop(self._loop, handle, query, payload if len(payload) <= MAX_REQUEST_BYTES else b"too long")
+            payload = payload if len(payload) <= MAX_REQUEST_BYTES else b"too long"
+            call_in_loop(self._loop, handle, query, payload, self._cell.mark)
 
         session.declare_queryable(key.format(cell=self._id), on_query, complete=True)
 

@@ -172,6 +172,8 @@ class WireCell:
                 service_epoch=self.epoch,
                 seq=self.seq,
                 time=time.time(),
+                clock_s=time.monotonic(),
+                stops=len(self.stops),
                 state=self.state,
                 can_start=self.state is CellState.READY,
                 why_not=None if self.state is CellState.READY else f"the cell is {self.state}",
