@@ -15,6 +15,7 @@ from sqlalchemy import JSON, URL, Connection, Index, String, event, inspect, mak
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.ext.asyncio import AsyncEngine, AsyncSession, async_sessionmaker, create_async_engine
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.pool import NullPool
 
 from service.messages import Run, RunState
 
@@ -60,7 +61,10 @@ class RunHistory:
     def __init__(self, url: str) -> None:
         parsed = self.check_url(url)
         self._path = Path(str(parsed.database))
-        self._engine: AsyncEngine = create_async_engine(parsed, connect_args={"timeout": BUSY_TIMEOUT_S})
+        # No connection is kept: one that is open would go on with a file that was moved away
+        self._engine: AsyncEngine = create_async_engine(
+            parsed, connect_args={"timeout": BUSY_TIMEOUT_S}, poolclass=NullPool
+        )
         event.listen(self._engine.sync_engine, "connect", _use_wal)
         self._sessions = async_sessionmaker(self._engine, expire_on_commit=False)
         self._pending: dict[str, Run] = {}
@@ -131,13 +135,11 @@ class RunHistory:
             self.problem = None
 
     async def _renew_if_moved(self) -> None:
-        """Open the database anew where the file at the path is not the open one: a moved file is written in vain."""
+        """Make the database anew where the file at the path is not the one that was opened."""
         if self._opened and await asyncio.to_thread(self._present_identity) != self._identity:
             _log.warning("history", problem=f"{self._path} was moved or deleted; it is made anew from the ledger")
-            async with self._writing:
-                self._opened = False
-                await self._engine.dispose()
-                await self.open()
+            self._opened = False
+            await self.open()
             self.on_renewed()
 
     def _present_identity(self) -> tuple[int, int] | None:

@@ -61,6 +61,7 @@ class ControlPlane:
         self._id = cell.config.cell.id
         self._loop = asyncio.get_running_loop()
         self._tasks: set[asyncio.Task[None]] = set()
+        self._stops: set[asyncio.Task[None]] = set()
         self._status = self._publisher(session, messages.STATUS, zenoh.Priority.INTERACTIVE_HIGH)
         self._event = self._publisher(session, messages.EVENT, zenoh.Priority.DATA)
         self._telemetry = self._publisher(session, messages.TELEMETRY, zenoh.Priority.DATA_LOW)
@@ -108,7 +109,7 @@ class ControlPlane:
             request = StopRequest(reason="the request could not be read")
         answer = self._cell.stop(request)
         self._put(self._status, answer.status)  # its mark reaches every client before the next heartbeat
-        self._spawn(self._answer_once_kept(query, answer))
+        self._spawn(self._stops, self._answer_once_kept(query, answer))
 
     async def _answer_once_kept(self, query: zenoh.Query, answer: StatusResult) -> None:
         """Answer a stop once its cause survives the end of this process, and after `KEPT_S` in any case."""
@@ -147,14 +148,14 @@ class ControlPlane:
                 return
             if isinstance(request, StartRequest) and request.after is None:
                 request = request.model_copy(update={"after": arrived})
-            self._spawn(self._carry_out(query, answer(request)))
+            self._spawn(self._tasks, self._carry_out(query, answer(request)))
 
         return handle
 
-    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
+    def _spawn(self, tasks: set[asyncio.Task[None]], work: Coroutine[Any, Any, None]) -> None:
         task = self._loop.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        tasks.add(task)
+        task.add_done_callback(tasks.discard)
 
     async def _carry_out(self, query: zenoh.Query, answer: Awaitable[Message]) -> None:
         try:
