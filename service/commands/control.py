@@ -7,6 +7,7 @@ from typing import assert_never
 
 import typer
 
+from service.cell.alone import alone
 from service.commands.configured import ConfigPath, load_cell, ur_section
 from service.config import CellConfig
 from service.drivers.sim_process import Simulator, simulator
@@ -19,7 +20,7 @@ def control(config: ConfigPath = None) -> None:
     cell = load_cell(config)
     take_over_stderr()
     try:
-        with _world(cell) as world:
+        with alone(cell.cell.state_dir), _world(cell) as world:
             _run(cell, world)
     except OSError as error:
         typer.echo(f"the control process cannot run: {error}", err=True)
@@ -56,6 +57,7 @@ def _run(cell: CellConfig, world: Simulator) -> None:
 
     from service.cell import process
     from service.commands.drivers import make_driver
+    from service.drivers.watchdog import brake_of
 
     driver = make_driver(cell)
     world.await_listening()
@@ -63,7 +65,7 @@ def _run(cell: CellConfig, world: Simulator) -> None:
     async def run() -> None:
         watch = asyncio.create_task(world.watch(), name="simulator")
         try:
-            await process.run(cell, driver)
+            await process.run(cell, driver, brake_of(cell))
         finally:
             watch.cancel()
 

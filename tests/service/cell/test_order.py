@@ -20,6 +20,7 @@ from service import messages
 from service.cell.control_plane import ControlPlane
 from service.cell.journal.ledger import FILE_NAME
 from service.drivers.base import Driver
+from service.envelope import ENVELOPE_VERSION, QUERY_TICKET, Envelope, TicketRequest, TicketResult
 from service.faults import FaultCode
 from service.messages import (
     CellState,
@@ -39,7 +40,7 @@ from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
 from tests.service.cell.faulty_driver import FaultyDriver
 from tests.service.sim_server import free_endpoint
-from wire.session import close_session, open_session
+from wire.session import close_session, open_session, query
 
 CELL = "under-test"
 
@@ -163,10 +164,13 @@ async def test_61_of_a_start_and_a_stop_that_reach_the_loop_in_one_turn_the_stop
             ControlPlane(bench.cell, session)
             start = StartRequest(recipe=RECIPE, seed=EASY, after=bench.cell.mark if marked else None)
             requests = {"start": (messages.START, start), "stop": (messages.STOP, StopRequest())}
-            while not reached(other, messages.QUERY_STATUS):
-                await asyncio.sleep(0.05)
-            for name in sorted(requests, key=lambda one: one != first):
-                ask(other, name, *requests[name], answers)
+            ticket = await a_ticket(other)
+            for number, name in enumerate(sorted(requests, key=lambda one: one != first), 1):
+                key, request = requests[name]
+                enveloped = Envelope(
+                    schema_version=ENVELOPE_VERSION, sender="tester", ticket=ticket, number=number, request=request
+                )
+                ask(other, name, key, enveloped, answers)
                 time.sleep(0.3)  # the loop stands still: both are in its queue when it goes on
             async with asyncio.timeout(20):
                 while len(answers) < 2:
@@ -182,9 +186,17 @@ async def test_61_of_a_start_and_a_stop_that_reach_the_loop_in_one_turn_the_stop
         await asyncio.to_thread(close_session, session)
 
 
-def reached(session: zenoh.Session, key: str) -> bool:
-    matching = session.declare_querier(key.format(cell=CELL)).matching_status
-    return bool(matching.matching)
+async def a_ticket(session: zenoh.Session) -> str:
+    async with asyncio.timeout(20):
+        while True:
+            answers = await query(
+                session,
+                QUERY_TICKET.format(cell=CELL),
+                TicketRequest(sender="tester").model_dump_json().encode(),
+                1.0,
+            )
+            if answers:
+                return TicketResult.model_validate_json(answers[0]).ticket
 
 
 def ask(session: zenoh.Session, name: str, key: str, request: Message, answers: dict[str, bytes]) -> None:
