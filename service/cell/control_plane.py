@@ -7,9 +7,9 @@ other queries wait, and every start that arrived before it is refused.
 
 import asyncio
 import threading
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import structlog
 import zenoh
@@ -95,7 +95,6 @@ class ControlPlane:
         self._id = cell.config.cell.id
         self._loop = asyncio.get_running_loop()
         self._tasks: set[asyncio.Task[None]] = set()
-        self._stops: set[asyncio.Task[None]] = set()
         self._reception = Reception(cell.on_notice)
         self._status = self._publisher(session, messages.STATUS, zenoh.Priority.INTERACTIVE_HIGH)
         self._event = self._publisher(session, messages.EVENT, zenoh.Priority.DATA)
@@ -143,12 +142,24 @@ class ControlPlane:
             return
         answer = self._cell.stop(request)
         self._put(self._status, answer.status)  # its mark reaches every client before the next heartbeat
-        self._spawn(self._stops, self._answer_once_kept(asked, answer))
+        self._reply_once_kept(asked, answer)
 
-    async def _answer_once_kept(self, asked: Asked, answer: StatusResult) -> None:
-        """Answer a stop once its cause survives the end of this process, and after `KEPT_S` in any case."""
-        await self._cell.journal.latch_is_kept(KEPT_S)
-        self._reply(asked, answer)
+    def _reply_once_kept(self, asked: Asked, answer: StatusResult) -> None:
+        """Answer a stop once its cause survives the end of this process, and after `KEPT_S` in any case.
+
+        The thread that wrote the cause answers, so that the answer does not wait for its turn in the loop.
+        """
+        token = threading.Lock()
+
+        def reply(*_: object) -> None:
+            if token.acquire(blocking=False):
+                self._reply(asked, answer)
+
+        if (kept := self._cell.journal.latch_kept) is None:
+            reply()
+        else:
+            kept.add_done_callback(reply)
+            self._loop.call_later(KEPT_S, reply)
 
     def _on_status(self, asked: Asked) -> None:
         self._reply(asked, StatusResult(status=self._cell.status()))
@@ -194,14 +205,11 @@ class ControlPlane:
                 return
             if isinstance(request, StartRequest) and request.after is None:
                 request = request.model_copy(update={"after": asked.arrived})
-            self._spawn(self._tasks, self._carry_out(asked, answer(request)))
+            task = self._loop.create_task(self._carry_out(asked, answer(request)))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
 
         return handle
-
-    def _spawn(self, tasks: set[asyncio.Task[None]], work: Coroutine[Any, Any, None]) -> None:
-        task = self._loop.create_task(work)
-        tasks.add(task)
-        task.add_done_callback(tasks.discard)
 
     async def _carry_out(self, asked: Asked, answer: Awaitable[Message]) -> None:
         try:

@@ -70,7 +70,8 @@ class Journal:
     @property
     def fault(self) -> str | None:
         """The reason why the disk cannot be relied on; None while it can."""
-        return self._latch_file.fault or self._ledger.fault
+        faults = (self._latch_file.fault, self._ledger.fault)
+        return "; ".join(fault for fault in faults if fault is not None) or None
 
     # --- the latch
 
@@ -81,10 +82,10 @@ class Journal:
         self._latching = self._latch_file.set(latch)
         return latch
 
-    async def latch_is_kept(self, timeout_s: float) -> None:
-        """Wait until the latch survives the end of this process, or cannot be written, or the time is up."""
-        if self._latching is not None and not self._latching.kept.done():
-            await _settled(self._latching.kept, timeout_s)
+    @property
+    def latch_kept(self) -> Future[None] | None:
+        """Done once the last latch survives the end of this process, or could not be written; None without one."""
+        return None if self._latching is None else self._latching.kept
 
     async def clear_latch_on_disk(self) -> None:
         """Clear the file, after everything that was recorded before. The latch stays in force until `drop_latch`.

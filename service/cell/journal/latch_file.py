@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from service.cell.journal.storage import Storage, Write
+from service.cell.journal.storage import ALTERED, Storage, Write
 from service.faults import FaultCode
 from service.messages import Latch
 
@@ -126,8 +126,12 @@ class LatchFile:
         """Write the latch anew where the file at the path is not the one that was written."""
         if self._present_mark() == self._mark:
             return False
-        self.lost = f"{self._path} was altered, moved or deleted, and is written anew: end what does it, and restart"
-        self._replace(self._latch)
+        try:
+            self._replace(self._latch)
+        finally:
+            self.lost = (
+                f"{self._path} was altered, moved or deleted, and is written anew: end what does it, and restart"
+            )
         return True
 
     def _present_mark(self) -> tuple[int, ...] | None:

@@ -12,7 +12,7 @@ from typing import Any, cast
 
 from pydantic import ValidationError
 
-from service.cell.journal.storage import Storage, Write
+from service.cell.journal.storage import ALTERED, Storage, Write
 from service.faults import FaultCode
 from service.messages import Event, EventKind, Latch, Run, RunState
 
@@ -213,11 +213,15 @@ class Ledger:
         """Write every known run anew where the file at the path is not the one that is being written."""
         if self._is_ours():
             return False
-        self.lost = f"{self._path} was altered, moved or deleted, and is written anew: end what does it, and restart"
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = self._open()
-        self._torn = self._length > 0
-        self._put(b"".join(_line({"run": run.model_dump(mode="json")}) for run in list(self._runs.values())))
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._open()
+            self._torn = self._length > 0
+            self._put(b"".join(_line({"run": run.model_dump(mode="json")}) for run in list(self._runs.values())))
+        finally:
+            self.lost = (
+                f"{self._path} was altered, moved or deleted, and is written anew: end what does it, and restart"
+            )
         return True
 
     def _open(self) -> FileIO:

@@ -20,6 +20,12 @@ ATTEND_S = 0.25
 SLOW_S = 3.0
 """Time after which a write or sync under way is a fault."""
 
+ALTERED = (
+    "{path} was altered, moved or deleted by another program, and is written anew: end what does it, then restart the "
+    "control process"
+)
+"""Text of a file that is not the one that was written."""
+
 
 class StorageFullError(OSError):
     """The disk does not keep up; nothing was queued."""

@@ -84,6 +84,8 @@ async def test_69_a_state_directory_that_was_deleted_in_a_run_forgets_neither_ru
         run = (await client.start(StartRequest(recipe="triangle-2mm", seed=EASY))).run
         await until(lambda: client.state in (CellState.APPROACH, CellState.RUNNING))
         shutil.rmtree(tmp_path / "state")
+        ledger = tmp_path / "state" / "ledger.jsonl"
+        await until(lambda: ledger.exists() and run.id in ledger.read_text())
         await until(lambda: any("state directory" in text for text in client.last_status.degradations))
         process.kill()
         process.wait()
