@@ -5,9 +5,16 @@ from typing import Annotated, Self, assert_never
 from pydantic import Field, model_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
-from service.config.checks import recipes_beyond_limits, within_limits, within_preflight, without_robot
+from service.config.checks import (
+    between_limits_and_preflight,
+    beyond_arm,
+    recipes_beyond_limits,
+    within_limits,
+    within_preflight,
+    without_robot,
+)
 from service.config.fields import Name
-from service.config.limits import LimitsSection, PreflightSection
+from service.config.limits import LimitsSection, PreflightSection, WitnessSection
 from service.config.sections import ApiSection, CameraSection, CellSection, ClientLossSection, RecipeSection, SimSection
 from service.config.ur import UrSection
 
@@ -22,6 +29,7 @@ class CellConfig(BaseSettings):
     cell: CellSection
     limits: LimitsSection
     preflight: PreflightSection = PreflightSection()
+    witness: WitnessSection = WitnessSection()
     sim: SimSection = SimSection()
     ur: UrSection | None = None
     camera: CameraSection | None = None
@@ -34,8 +42,10 @@ class CellConfig(BaseSettings):
         contradictions = (
             *within_limits(self.limits),
             *within_preflight(self.preflight),
+            *between_limits_and_preflight(self.limits, self.preflight),
             *recipes_beyond_limits(self.recipes, self.limits),
             *without_robot(self.cell, self.ur),
+            *(() if self.ur is None else beyond_arm(self.ur, self.recipes, self.limits)),
         )
         if contradictions:
             raise ValueError("; ".join(contradictions))
