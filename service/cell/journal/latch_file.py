@@ -129,9 +129,7 @@ class LatchFile:
         try:
             self._replace(self._latch)
         finally:
-            self.lost = (
-                f"{self._path} was altered, moved or deleted, and is written anew: end what does it, and restart"
-            )
+            self.lost = ALTERED.format(path=self._path)
         return True
 
     def _present_mark(self) -> tuple[int, ...] | None:

@@ -219,9 +219,7 @@ class Ledger:
             self._torn = self._length > 0
             self._put(b"".join(_line({"run": run.model_dump(mode="json")}) for run in list(self._runs.values())))
         finally:
-            self.lost = (
-                f"{self._path} was altered, moved or deleted, and is written anew: end what does it, and restart"
-            )
+            self.lost = ALTERED.format(path=self._path)
         return True
 
     def _open(self) -> FileIO:
