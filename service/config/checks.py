@@ -3,8 +3,10 @@
 from collections.abc import Iterator, Mapping
 
 from service.config.limits import LimitsSection, PreflightSection
-from service.config.sections import CellSection, RecipeSection
+from service.config.sections import CameraSection, CellSection, RecipeSection, SimSection, TlsSection
 from service.config.ur import UrSection
+from wire.endpoints import is_local
+from wire.tls import is_encrypted
 
 
 def within_limits(limits: LimitsSection) -> Iterator[str]:
@@ -45,3 +47,20 @@ def without_robot(cell: CellSection, ur: UrSection | None) -> Iterator[str]:
     """Yield the section that the driver lacks."""
     if cell.driver == "ur" and ur is None:
         yield "cell.driver is ur, so the section [ur] must say where the controller is and what it carries"
+
+
+def unprotected(
+    cell: CellSection, sim: SimSection, camera: CameraSection | None, tls: TlsSection | None
+) -> Iterator[str]:
+    """Yield endpoints that lack their certificates, and a control process that anybody on the network could command."""
+    named = {"cell.endpoint": cell.endpoint, "sim.endpoint": sim.endpoint}
+    if camera is not None:
+        named["camera.endpoint"] = camera.endpoint
+    for name, endpoint in named.items():
+        if is_encrypted(endpoint) and tls is None:
+            yield f"{name} is {endpoint}, so the section [tls] must name the certificates"
+    if not is_encrypted(cell.endpoint) and not is_local(cell.endpoint):
+        yield (
+            f"cell.endpoint is {cell.endpoint}: whoever reaches it commands the cell. Use tls/ and the section [tls], "
+            "or an address of this machine such as tcp/127.0.0.1:7447"
+        )

@@ -24,6 +24,7 @@ Box = Annotated[tuple[Position, Position], AfterValidator(_check_box)]
 SixPositive = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 Port = Annotated[int, Field(ge=1, le=65535)]
+CommonName = Annotated[str, Field(min_length=1, max_length=64)]
 Endpoint = Annotated[str, Field(pattern=r"^(tcp|tls|quic|unixsock-stream)/\S+$")]
 
 

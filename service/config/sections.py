@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from service.config.fields import Endpoint, Finite, Force, Name, Port, Position, Section
+from service.config.fields import CommonName, Endpoint, Finite, Force, Name, Port, Position, Section
 from wire.endpoints import DEFAULT_ENDPOINT, DEFAULT_WORLD
 from wire.modes import LockMode, TimeMode
 from wire.task import Conditions
@@ -93,6 +93,24 @@ class CameraSection(Section):
     endpoint: Endpoint
     key: Annotated[str, Field(min_length=1, pattern=r"^[^*$#?\s]+$")]
     max_age_s: Annotated[float, Field(gt=0.0, le=5.0, allow_inf_nan=False)] = 0.2
+
+
+class TlsSection(Section):
+    """Certificates for `tls/` and `quic/` endpoints; `docs/reference/wire-security.md` says how to make them.
+
+    Attributes:
+        authority: PEM file of the authority that signed the certificates of all processes.
+        certificate: PEM file of this process's certificate.
+        key: PEM file of its private key.
+        commanders: common names of the certificates that may command: start, stop, reset, claim the simulator.
+        readers: common names that may read the state and no more.
+    """
+
+    authority: Path
+    certificate: Path
+    key: Path
+    commanders: Annotated[tuple[CommonName, ...], Field(min_length=1)]
+    readers: tuple[CommonName, ...] = ()
 
 
 class ApiSection(Section):
