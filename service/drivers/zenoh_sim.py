@@ -133,8 +133,12 @@ class ZenohSimDriver:
         return self._commands.seq
 
     def stop(self) -> None:
-        self._pending.clear()
+        self._pending = [order for order in self._pending if order[0]["kind"] == records.Kind.STOP_BLIND]
         self._send(self._commands.stop())
+
+    def stop_blind(self) -> None:
+        self._pending.clear()
+        self._send(self._commands.stop(blind=True))
 
     def escalate(self) -> None:
         self.stop()

@@ -9,6 +9,7 @@ import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,8 +157,10 @@ def configured(tmp_path: Path, **replaced: str) -> tuple[Path, str]:
 
 
 @asynccontextmanager
-async def control_process(path: Path, endpoint: str) -> AsyncIterator[tuple[subprocess.Popen[bytes], CellClient]]:
-    process = subprocess.Popen(command("control", "--config", str(path)), cwd=ROOT)
+async def control_process(
+    path: Path, endpoint: str, **options: Any
+) -> AsyncIterator[tuple[subprocess.Popen[bytes], CellClient]]:
+    process = subprocess.Popen(command("control", "--config", str(path)), cwd=ROOT, **options)
     try:
         async with CellClient("cell-1", [endpoint]) as client:
             await until(lambda: client.state in (CellState.READY, CellState.LATCHED), 60.0)
