@@ -170,7 +170,7 @@ def test_a_recipe_or_cell_whose_name_cannot_stand_in_a_key_is_refused(tmp_path: 
 
 def test_the_schema_names_every_section() -> None:
     schema = CellConfig.model_json_schema()
-    sections = {"cell", "limits", "preflight", "sim", "ur", "camera", "api", "client_loss", "recipes"}
+    sections = {"cell", "limits", "preflight", "witness", "sim", "ur", "camera", "tls", "api", "client_loss", "recipes"}
     assert set(schema["properties"]) == sections
     assert schema["additionalProperties"] is False
 
