@@ -52,6 +52,7 @@ from service.messages import (
 )
 from service.program import PROGRAM
 from wire.session import call_in_loop, close_session, open_session, query
+from wire.tls import Certificates
 
 SILENCE_S = 0.5
 """Age of the last heartbeat at which a cell counts as silent: ten heartbeats."""
@@ -91,6 +92,7 @@ class CellClient:
         connect: endpoints of its control process.
         clock: monotonic seconds, for the heartbeat's age and the validity of a start.
         sender: name of this program in the cell's record; None: its process and host.
+        certificates: of this program, for a `tls/` or `quic/` endpoint.
     """
 
     def __init__(
@@ -99,8 +101,10 @@ class CellClient:
         connect: Sequence[str],
         clock: Callable[[], float] = time.monotonic,
         sender: str | None = None,
+        certificates: Certificates | None = None,
     ) -> None:
         self._cell = cell
+        self._certificates = certificates
         self._sender = sender or f"process {os.getpid()} on {socket.gethostname()[:64]}"
         self._ticket: TicketResult | None = None
         self._number = 0
@@ -126,7 +130,7 @@ class CellClient:
 
     async def open(self) -> None:
         """Open the session and subscribe. The cell need not be running yet."""
-        session = await asyncio.to_thread(open_session, connect=self._connect)
+        session = await asyncio.to_thread(open_session, (), self._connect, self._certificates)
         self._session = session
         self._presence = asyncio.create_task(self._say_present(session), name=f"client of {self._cell}")
         self._subscribe(session, messages.STATUS, Status, self._on_status)

@@ -21,6 +21,7 @@ from service.messages import CellState, EventKind
 from service.notify import Notifier
 from wire.realtime import freeze_garbage, request_realtime
 from wire.session import close_session, open_session
+from wire.tls import Access, is_encrypted
 
 WATCHDOG_LOST = "the watchdog has ended: a loop that hangs is stopped by the arm alone; restart the control process"
 
@@ -102,7 +103,9 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
     for line in cell.degradations:
         _log.warning("degraded", what=line)
     try:
-        session = await asyncio.to_thread(open_session, listen=[config.cell.endpoint])
+        session = await asyncio.to_thread(
+            open_session, [config.cell.endpoint], (), config.certificates, _access(config)
+        )
     except BaseException:
         await cell.close()
         raise
@@ -121,3 +124,11 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
                 await status
     finally:
         await asyncio.to_thread(close_session, session)
+
+
+def _access(config: CellConfig) -> Access | None:
+    """Return the rights of the cell's clients; None where the link tells no names."""
+    tls = config.tls
+    if tls is None or not is_encrypted(config.cell.endpoint):
+        return None
+    return Access(f"cell/{config.cell.id}", ("query/*",), tls.commanders, tls.readers)
