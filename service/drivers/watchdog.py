@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol, Self
 
 import zenoh
@@ -27,6 +28,7 @@ from service.drivers.zenoh_sim import ZenohSimDriver
 from service.logs import log_writer
 from wire import keys
 from wire.session import open_session
+from wire.tls import Certificates
 
 REPEAT_S = 0.05
 """Time between two stops, s."""
@@ -55,11 +57,14 @@ class ZenohBrake:
     Args:
         world: name of the world in its keys.
         endpoint: of its server.
+        *files: of the certificates, in the order of `Certificates`; none where the link is not encrypted.
     """
 
-    def __init__(self, world: str, endpoint: str) -> None:
+    def __init__(self, world: str, endpoint: str, *files: str) -> None:
         self._commands = CommandWriter()
-        self._session = open_session(connect=[endpoint])  # closed as soon as nobody refers to it
+        certificates = Certificates(*map(Path, files)) if files else None
+        # Closed as soon as nobody refers to it
+        self._session = open_session(connect=[endpoint], certificates=certificates)
         self._publisher = self._session.declare_publisher(
             keys.COMMAND.format(world=world),
             congestion_control=zenoh.CongestionControl.DROP,
@@ -115,7 +120,9 @@ def brake_of(config: CellConfig, driver: Driver) -> BrakeSetting | None:
         driver: of the same arm.
     """
     if isinstance(driver, ZenohSimDriver):
-        return BrakeSetting(("zenoh", config.sim.world, config.sim.endpoint), lambda: driver.stop_word)
+        own = config.certificates
+        files = () if own is None else (str(own.authority), str(own.certificate), str(own.key))
+        return BrakeSetting(("zenoh", config.sim.world, config.sim.endpoint, *files), lambda: driver.stop_word)
     if config.ur is not None:
         return BrakeSetting(("dashboard", config.ur.host, str(config.ur.dashboard_port)))
     return None
