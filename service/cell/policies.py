@@ -52,6 +52,11 @@ class PolicyShelf:
             if key not in self._held:
                 self._held[key] = self._open(*key)
 
+    @property
+    def settled(self) -> bool:
+        """True once every policy is loaded or refused."""
+        return all(isinstance(held, PolicyError) or held.settled for held in self._held.values())
+
     def admit(self, recipe: str) -> Admitted:
         """Return a recipe's policy, if its file is still the one that was loaded. Blocks on disk and loading.
 

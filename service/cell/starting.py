@@ -98,6 +98,11 @@ class Starting:
         self._deciding = asyncio.create_task(self._decide(request), name="start")
         return await asyncio.shield(self._deciding)
 
+    @property
+    def policies_settled(self) -> bool:
+        """True once every policy is loaded or refused; until then a start may have to wait."""
+        return self._policies.settled
+
     def cancel(self) -> None:
         """Give up the start and the preparation under way."""
         for task in (self._deciding, self._preparation):
