@@ -39,9 +39,8 @@ class Holder:
 class Holding:
     """Admits the commands and requests of the holder alone, each of them once.
 
-    A claim draws two words at random that only the claimant is told. Commands carry the first as their `client`,
-    requests as a parameter, both with a `seq` above every earlier one of their kind. The second is good for a STOP
-    alone, with numbers of its own: the claimant gives it to a watchdog, which cannot know the numbers of the commands.
+    A claim draws a word at random that only the claimant is told. Commands carry it as their `client`, requests as a
+    parameter, both with a `seq` above every earlier one of their kind.
 
     Args:
         clock: monotonic seconds.
@@ -54,9 +53,9 @@ class Holding:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._word = self._stop_word = 0
+        self._word = self._brake = 0
         self._heard_at = 0.0
-        self._command_seq = self._request_seq = self._stop_seq = 0
+        self._command_seq = self._request_seq = self._brake_seq = 0
         self.holder: Holder | None = None
         self.number = 0
         self.refused = 0
@@ -66,15 +65,16 @@ class Holding:
 
         Args:
             parameters: `client=…`, the word of an earlier claim, to renew that one.
-            payload: JSON object `{"cell": …, "host": …, "pid": …}`.
+            payload: JSON object `{"cell": …, "host": …, "pid": …, "brake": …}`. Stops under the word `brake` are
+                obeyed as well: the claimant's watchdog, a process of its own, has it.
 
         Returns:
-            JSON object with the words, `client` and `stop`, and with `refused`.
+            JSON object with the word, `client`, and with `refused`.
 
         Raises:
             RequestError: another client holds the world, or the claim cannot be read.
         """
-        claimant = _read_holder(payload)
+        claimant, brake = _read_claim(payload)
         word = _whole(read_parameters(parameters, "client=… of an earlier claim, or none", "client"), "client")
         if not self._is_held_by(word):
             if self.is_held and self.holder is not None:
@@ -83,12 +83,12 @@ class Holding:
                     f"claim: this world is held by {self.holder}, heard {heard_s:.1f} s ago: "
                     "end it, or give this cell a simulator of its own (sim.endpoint)"
                 )
-            self._word, self._stop_word = secrets.randbits(63) | 1, secrets.randbits(63) | 1
-            self._command_seq = self._request_seq = self._stop_seq = 0
-            self.holder = claimant
+            self._word = secrets.randbits(63) | 1
+            self._command_seq = self._request_seq = self._brake_seq = 0
+            self.holder, self._brake = claimant, brake
             self.number += 1
         self._heard_at = self._clock()
-        return json.dumps({"client": self._word, "stop": self._stop_word, "refused": self.refused}).encode()
+        return json.dumps({"client": self._word, "refused": self.refused}).encode()
 
     def release(self, parameters: str) -> None:
         """End the holder's claim.
@@ -97,7 +97,7 @@ class Holding:
             RequestError: as `check`.
         """
         self.check(read_parameters(parameters, SIGNATURE, *SIGNED), "release")
-        self.holder, self._word, self._stop_word = None, 0, 0
+        self.holder, self._word, self._brake = None, 0, 0
 
     def check(self, parameters: Mapping[str, str], request: str) -> None:
         """Check that a request is the holder's and new.
@@ -121,25 +121,23 @@ class Holding:
         self._heard_at = self._clock()
 
     def admits(self, command: Any) -> bool:
-        """Return whether a command is the holder's and new, or a new stop of its watchdog.
-
-        A stop is anyone's while no holder is heard.
+        """Return whether a command is the holder's and new. A stop is anyone's while no holder is heard.
 
         Args:
             command: one record of `records.COMMAND`.
         """
-        if self._is_held_by(int(command["client"])):
-            seq = int(command["seq"])
+        client, seq = int(command["client"]), int(command["seq"])
+        if command["kind"] == Kind.STOP and self._brake and client == self._brake:
+            if seq > self._brake_seq:
+                self._brake_seq = seq
+                return True
+        elif self._is_held_by(client):
             if seq > self._command_seq:
                 self._command_seq = seq
                 self._heard_at = self._clock()
                 return True
-        elif command["kind"] == Kind.STOP:
-            if not self.is_held:
-                return True
-            if int(command["client"]) == self._stop_word and int(command["seq"]) > self._stop_seq:
-                self._stop_seq = int(command["seq"])
-                return True
+        elif command["kind"] == Kind.STOP and not self.is_held:
+            return True
         self.refused += 1
         return False
 
@@ -161,11 +159,13 @@ def _whole(parameters: Mapping[str, str], name: str) -> int:
     return int(value) if value.isascii() and value.isdigit() and len(value) <= 19 else 0
 
 
-def _read_holder(payload: bytes) -> Holder:
+def _read_claim(payload: bytes) -> tuple[Holder, int]:
     document = read_object(payload, "claim")
-    cell, host, pid = (document.get(name) for name in ("cell", "host", "pid"))
-    if not (isinstance(cell, str) and isinstance(host, str) and isinstance(pid, int)) or len(document) != 3:
+    cell, host, pid, brake = (document.pop(name, 0) for name in ("cell", "host", "pid", "brake"))
+    if document or not (isinstance(cell, str) and isinstance(host, str) and isinstance(pid, int)):
         raise RequestError('claim: the payload must be {"cell": text, "host": text, "pid": number}')
+    if not isinstance(brake, int) or not 0 <= brake < 2**63:
+        raise RequestError("claim: brake is a number below 2**63, or left out")
     if max(len(cell), len(host)) > _TEXT_LENGTH or not (cell + host).isprintable():
         raise RequestError(f"claim: cell and host are printable, at most {_TEXT_LENGTH} characters each")
-    return Holder(cell, host, pid)
+    return Holder(cell, host, pid), brake

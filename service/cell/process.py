@@ -16,7 +16,7 @@ from service.cell.states import WITH_RUN
 from service.cell.watch import keep_linked, keep_watch
 from service.config import CellConfig
 from service.drivers.base import Driver
-from service.drivers.watchdog import BrakeSetting, Watchdog
+from service.drivers.watchdog import Watchdog
 from service.messages import CellState, EventKind
 from service.notify import Notifier
 from wire.realtime import freeze_garbage, request_realtime
@@ -52,12 +52,12 @@ async def attended(cell: Cell, beats: Sequence[Callable[[], None]] = ()) -> Asyn
 
 
 @contextmanager
-def guarded(cell: Cell, brake: BrakeSetting | None) -> Generator[tuple[Notifier, list[Callable[[], None]]]]:
+def guarded(cell: Cell, brake: Sequence[str]) -> Generator[tuple[Notifier, list[Callable[[], None]]]]:
     """Have the loop watched from outside while the context lasts: by systemd, and in real time by a watchdog.
 
     Args:
         cell: to guard.
-        brake: of the arm; without one there is no watchdog.
+        brake: arguments of the watchdog's brake; without them there is no watchdog.
 
     Yields:
         The notices to systemd, and the beats that the loop owes to both.
@@ -68,7 +68,7 @@ def guarded(cell: Cell, brake: BrakeSetting | None) -> Generator[tuple[Notifier,
     with ExitStack() as stack:
         notifier = stack.enter_context(Notifier())
         beats = [notifier.beat]
-        if brake is not None and cell.driver.mode == "real_time":
+        if brake and cell.driver.mode == "real_time":
             watchdog = stack.enter_context(Watchdog(brake, cell.config.limits.sample_age_s))
             beats.append(partial(_quiet, cell, watchdog))
         yield notifier, beats
@@ -81,13 +81,14 @@ def _quiet(cell: Cell, watchdog: Watchdog) -> None:
         cell.journal.tell(EventKind.WARNING, cell.state, WATCHDOG_LOST)
 
 
-async def run(config: CellConfig, driver: Driver, brake: BrakeSetting | None = None) -> None:
+async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> None:
     """Run until SIGTERM or SIGINT; stop the arm before returning. The caller holds the lock of `alone`.
 
     Args:
         config: of the cell.
         driver: of its arm.
-        brake: with which a watchdog stops the arm in real time where the loop does not turn; None: no watchdog.
+        brake: arguments of the watchdog's brake, which stops the arm in real time where the loop does not turn; without
+            them there is no watchdog.
 
     Raises:
         OSError: the endpoint or the state directory cannot be used.

@@ -76,7 +76,7 @@ def _run(cell: CellConfig, world: Simulator) -> None:
     async def run() -> None:
         watch = asyncio.create_task(world.watch(), name="simulator")
         try:
-            await process.run(cell, driver, brake_of(cell, driver))
+            await process.run(cell, driver, brake_of(cell))
         finally:
             watch.cancel()
 

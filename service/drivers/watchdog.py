@@ -1,6 +1,6 @@
 """The watchdog of a control process: a process of its own that stops the arm when the control loop falls silent.
 
-The loop sends one beat a turn through a pipe. While a run is under way, a silence longer than the limit stops the arm
+The loop sends one byte a turn through a pipe. While a run is under way, a silence longer than the limit stops the arm
 through a connection of the watchdog's own, and so does the end of the pipe: the control process hangs or was killed.
 `python -m service.drivers.watchdog` is the process; `Watchdog` is the loop's side.
 """
@@ -10,21 +10,17 @@ import os
 import select
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Protocol, Self, assert_never
 
 import zenoh
 
 from service.config import CellConfig
-from service.drivers.base import Driver
-from service.drivers.sim_wire import CommandWriter
-from service.drivers.zenoh_sim import ZenohSimDriver
+from service.drivers.sim_wire import BRAKE_WORD, CommandWriter
 from service.logs import log_writer
 from wire import keys
 from wire.session import open_session
@@ -35,20 +31,15 @@ REPEAT_S = 0.05
 LAST_STOPS = 20
 """Stops after the end of the pipe; a command may be lost."""
 CONNECT_S = 0.25
-BEAT = struct.Struct("<?Q")
-"""A beat: whether a run is under way, and the word with which the arm takes a stop."""
+WORD_VARIABLE = "DSL_ASSEMBLY_BRAKE_WORD"
+"""Environment variable with the word under which a simulated world obeys the watchdog."""
+_IDLE, _ARMED = b"\0", b"\1"
 
 
 class Brake(Protocol):
     """A way to stop the arm. It may block for some tenths of a second, and never raises."""
 
-    def stop(self, word: int) -> None:
-        """Stop.
-
-        Args:
-            word: of the last beat; for an arm that obeys nobody without one.
-        """
-        ...
+    def stop(self) -> None: ...
 
 
 class ZenohBrake:
@@ -57,14 +48,14 @@ class ZenohBrake:
     Args:
         world: name of the world in its keys.
         endpoint: of its server.
-        *files: of the certificates, in the order of `Certificates`; none where the link is not encrypted.
+        *files: of the certificates, where the endpoint is encrypted.
     """
 
     def __init__(self, world: str, endpoint: str, *files: str) -> None:
         self._commands = CommandWriter()
+        self._commands.client = int(os.environ[WORD_VARIABLE])
         certificates = Certificates(*map(Path, files)) if files else None
-        # Closed as soon as nobody refers to it
-        self._session = open_session(connect=[endpoint], certificates=certificates)
+        self._session = open_session((), [endpoint], certificates)  # closed as soon as nobody refers to it
         self._publisher = self._session.declare_publisher(
             keys.COMMAND.format(world=world),
             congestion_control=zenoh.CongestionControl.DROP,
@@ -72,8 +63,7 @@ class ZenohBrake:
             express=True,
         )
 
-    def stop(self, word: int) -> None:
-        self._commands.client = word
+    def stop(self) -> None:
         with contextlib.suppress(zenoh.ZError):
             self._publisher.put(self._commands.stop().tobytes())
 
@@ -89,7 +79,7 @@ class DashboardBrake:
     def __init__(self, host: str, port: str) -> None:
         self._address = host, int(port)
 
-    def stop(self, word: int) -> None:
+    def stop(self) -> None:
         with contextlib.suppress(OSError), socket.create_connection(self._address, timeout=CONNECT_S) as connection:
             connection.recv(1024)  # the greeting
             connection.sendall(b"stop\n")
@@ -99,55 +89,39 @@ class DashboardBrake:
 _BRAKES = {"zenoh": ZenohBrake, "dashboard": DashboardBrake}
 
 
-@dataclass(frozen=True, slots=True)
-class BrakeSetting:
-    """The brake of a cell's arm, as the control process knows it.
-
-    Attributes:
-        arguments: of the watchdog process: the kind of brake, and where it acts.
-        word: returns the word with which the arm takes a stop at present; 0 where it needs none.
-    """
-
-    arguments: tuple[str, ...]
-    word: Callable[[], int] = int
-
-
-def brake_of(config: CellConfig, driver: Driver) -> BrakeSetting | None:
-    """Return the brake of a configured arm; None where it has none.
-
-    Args:
-        config: of the cell.
-        driver: of the same arm.
-    """
-    if isinstance(driver, ZenohSimDriver):
-        own = config.certificates
-        files = () if own is None else (str(own.authority), str(own.certificate), str(own.key))
-        return BrakeSetting(("zenoh", config.sim.world, config.sim.endpoint, *files), lambda: driver.stop_word)
-    if config.ur is not None:
-        return BrakeSetting(("dashboard", config.ur.host, str(config.ur.dashboard_port)))
-    return None
+def brake_of(config: CellConfig) -> tuple[str, ...]:
+    """Return the arguments that name the brake of a cell's arm."""
+    match config.cell.driver:
+        case "zenoh_sim":
+            files = config.certificates
+            names = () if files is None else (str(files.authority), str(files.certificate), str(files.key))
+            return "zenoh", config.sim.world, config.sim.endpoint, *names
+        case "ur":
+            return () if config.ur is None else ("dashboard", config.ur.host, str(config.ur.dashboard_port))
+        case _ as never:
+            assert_never(never)
 
 
 class Watchdog:
     """The control loop's side: keeps the watchdog quiet.
 
     Args:
-        brake: of the arm.
+        brake: arguments from `brake_of`.
         limit_s: longest silence, s.
 
     Raises:
         OSError: no process can be made.
     """
 
-    def __init__(self, brake: BrakeSetting, limit_s: float) -> None:
-        self._word = brake.word
+    def __init__(self, brake: Sequence[str], limit_s: float) -> None:
         read, self._write = os.pipe()
         os.set_blocking(self._write, False)
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "service.drivers.watchdog", str(read), str(limit_s), *brake.arguments],
+                [sys.executable, "-P", "-m", "service.drivers.watchdog", str(read), str(limit_s), *brake],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
+                env=os.environ | {WORD_VARIABLE: str(BRAKE_WORD)},  # other users can read arguments
                 pass_fds=(read,),
                 start_new_session=True,  # it outlives this process by some stops
             )
@@ -173,7 +147,7 @@ class Watchdog:
             armed: a run is under way, so a silence from now on stops the arm.
         """
         try:
-            os.write(self._write, BEAT.pack(armed, self._word()))
+            os.write(self._write, _ARMED if armed else _IDLE)
         except BlockingIOError:
             return True  # it has enough to read
         except OSError:
@@ -190,23 +164,21 @@ def guard(handle: int, limit_s: float, brake: Brake) -> None:
         brake: of the arm.
     """
     armed = tripped = False
-    word = 0
     while True:
         patience_s = None if not armed else REPEAT_S if tripped else limit_s
         if not select.select([handle], [], [], patience_s)[0]:
-            brake.stop(word)
+            brake.stop()
             if not tripped:
                 _report(f"watchdog: no sign of the control loop for {limit_s:g} s in a run: the arm is stopped")
             tripped = True
-        elif beats := os.read(handle, BEAT.size * 4096):
-            # A beat is written as a whole, and only whole ones are read
-            armed, word = BEAT.unpack(beats[-BEAT.size :])
+        elif beats := os.read(handle, 65_536):
+            armed = beats.endswith(_ARMED)
             tripped = False
         else:
             break
     if armed:
         for _ in range(LAST_STOPS):
-            brake.stop(word)
+            brake.stop()
             time.sleep(REPEAT_S)
         _report("watchdog: the control process ended in a run: the arm was stopped")
 

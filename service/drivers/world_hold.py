@@ -10,6 +10,7 @@ from collections.abc import Callable
 import zenoh
 
 from service.drivers.base import DriverError
+from service.drivers.sim_wire import BRAKE_WORD
 from service.faults import FaultCode
 from service.program import PROGRAM
 from wire import keys
@@ -34,16 +35,16 @@ class WorldHold:
     Attributes:
         claimant: payload of a claim.
         word: word of the claim in force, which signs commands; 0 without one.
-        stop_word: second word of the claim, with which the world takes a STOP alone; 0 without one.
     """
 
     def __init__(self, world: str, name: str, cell: str) -> None:
         self._world = world
         self._name = name
-        self.claimant = json.dumps({"cell": cell, "host": socket.gethostname()[:64], "pid": os.getpid()}).encode()
+        who = {"cell": cell, "host": socket.gethostname()[:64], "pid": os.getpid(), "brake": BRAKE_WORD}
+        self.claimant = json.dumps(who).encode()
         self._seq = 0
         self._refused = 0
-        self.word = self.stop_word = 0
+        self.word = 0
 
     async def claim(self, session: zenoh.Session) -> int:
         """Claim the world, or renew the claim.
@@ -87,7 +88,7 @@ class WorldHold:
         if self.word:
             with contextlib.suppress(QueryRefusedError):  # another client has taken it over
                 await query(session, self.signed(keys.RELEASE), b"", RELEASE_S)
-            self.word = self.stop_word = 0
+            self.word = 0
 
     @property
     def selector(self) -> str:
@@ -106,7 +107,6 @@ class WorldHold:
         try:
             answer = json.loads(reply)
             word, refused = int(answer["client"]), int(answer["refused"])
-            self.stop_word = int(answer["stop"])
         except (ValueError, KeyError, TypeError) as error:
             text = f"{self._name}: its answer to a claim cannot be read: {error}"
             raise DriverError(FaultCode.PROTOCOL, text) from error

@@ -84,11 +84,6 @@ class ZenohSimDriver:
         return self._host_clock
 
     @property
-    def stop_word(self) -> int:
-        """Word with which the world takes a STOP of this driver's watchdog; 0 without a claim."""
-        return self._hold.stop_word
-
-    @property
     def samples_dropped(self) -> int:
         return self._handover.dropped
 

@@ -92,6 +92,18 @@ def test_a_stop_is_anyones_where_no_holder_is_heard(holding: Holding, clock: Clo
     assert holding.admits(command(Kind.STOP, 5, 0))
 
 
+def test_the_holders_watchdog_may_stop_and_nothing_else(holding: Holding) -> None:
+    document = b'{"cell": "left", "host": "bench", "pid": 7, "brake": 99}'
+    word = json.loads(holding.claim("", document))["client"]
+    assert not holding.admits(command(Kind.ENGAGE, 99, 1))
+    assert holding.admits(command(Kind.STOP, 99, 1))
+    assert not holding.admits(command(Kind.STOP, 99, 1)), "a copy"
+    assert holding.admits(command(Kind.STOP, 99, 2))
+    holding.release(f"client={word};seq=1")
+    claim(holding, "right")
+    assert not holding.admits(command(Kind.STOP, 99, 3)), "it was the watchdog of another"
+
+
 def test_70_a_request_of_another_or_a_copy_is_refused(holding: Holding) -> None:
     with pytest.raises(RequestError, match="nobody holds this world"):
         holding.check({"client": "0", "seq": "1"}, "reset")
@@ -111,16 +123,3 @@ def test_a_claim_that_does_not_say_who_claims_is_refused(holding: Holding, paylo
     with pytest.raises(RequestError, match="claim: "):
         holding.claim("", payload)
     assert holding.holder is None
-
-
-def test_70_a_watchdog_has_a_word_for_stops_alone_each_once(holding: Holding) -> None:
-    document = json.dumps({"cell": "left", "host": "bench", "pid": 7}).encode()
-    words = json.loads(holding.claim("", document))
-    assert holding.admits(command(Kind.ENGAGE, words["client"], 5))
-    assert not holding.admits(command(Kind.TARGET, words["stop"], 1))
-    assert holding.admits(command(Kind.STOP, words["stop"], 1))
-    assert not holding.admits(command(Kind.STOP, words["stop"], 1)), "a copy"
-    assert holding.admits(command(Kind.TARGET, words["client"], 6)), "the holder's own numbers go on"
-    holding.release(f"client={words['client']};seq=1")
-    claim(holding, "right")
-    assert not holding.admits(command(Kind.STOP, words["stop"], 2)), "the word of an earlier claim"

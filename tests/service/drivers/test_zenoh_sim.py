@@ -147,7 +147,7 @@ def impostor() -> AsyncIterator[tuple[str, zenoh.Session]]:
 
     def grant(query: zenoh.Query) -> None:
         with query:
-            query.reply("sim/world-1/claim", b'{"client": 5, "stop": 7, "refused": 0}')
+            query.reply("sim/world-1/claim", b'{"client": 5, "refused": 0}')
 
     session.declare_queryable("sim/world-1/info", answer)
     session.declare_queryable("sim/world-1/claim", grant)
