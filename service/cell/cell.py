@@ -174,6 +174,8 @@ class Cell:
         state = self.state
         if state in WITH_RUN or state is CellState.READY:
             (self.driver.stop_blind if code in DISBELIEVED else self.driver.stop)()
+        elif state is CellState.STOPPING and code in DISBELIEVED:
+            self._standstill.disbelieve()
         if state in WITH_RUN or (state is CellState.READY and code not in LINK_FAULTS):
             self._begin_stop(code, text)
         elif code in LINK_FAULTS:
@@ -181,7 +183,7 @@ class Cell:
 
     def _begin_stop(self, code: FaultCode, text: str) -> None:
         self._states.to(CellState.STOPPING)
-        self._standstill.begin()
+        self._standstill.begin(self.runs.witness, blind=code in DISBELIEVED)
         state = ended_by(code)
         run_id, peak_n = self.runs.active_id, self._intake.peak_force_n
         # Before the run's end: a process that dies between the two writes must come back latched
@@ -196,7 +198,7 @@ class Cell:
     def disengage(self) -> None:
         """End a run in the ordinary way: stop the arm, and become READY once standstill is measured."""
         self.driver.stop()
-        self._standstill.begin()
+        self._standstill.begin(self.runs.witness)
 
     def _conclude(self, stop: StopState) -> None:
         if stop is StopState.WAITING:
@@ -229,7 +231,7 @@ class Cell:
         now = self.driver.clock()
         if self._standstill.awaited:
             if self.state is CellState.STOPPING:
-                self.driver.stop()
+                self._standstill.stop()
             self._conclude(self._standstill.on_silence(now))
         if self._starting.preparing or (self.unlinked.is_set() and self.state not in WITH_RUN):
             return

@@ -18,6 +18,7 @@ from service.drivers.base import Driver, Sample
 from service.faults import FaultCode
 from service.messages import CellState, Run, RunState, StartRequest
 from service.policy.model import PolicyError, PolicyFault
+from service.safety.witness import Witness
 from wire.arrays import Float32Array
 
 STATE_IN: dict[Stage, CellState] = {
@@ -202,6 +203,12 @@ class Runs:
         self._driver = driver
         self._last: Run | None = None
         self.active: ActiveRun | None = None
+
+    @property
+    def witness(self) -> Witness | None:
+        """Witness of the contact in the run under way; None without one."""
+        insertion = None if self.active is None else self.active.insertion
+        return None if insertion is None else insertion.witness
 
     @property
     def active_id(self) -> str | None:
