@@ -4,13 +4,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.cell.path import PATH_TICKS
 from service.config import CellConfig, LimitsSection, RecipeSection
 from service.policy.contract import PolicyContract
 from service.policy.step import PolicyStep, command_bounds
 from service.safety.monitor import MonitorParameters
 from service.safety.preflight import PreflightParameters
+from service.safety.probe import ProbeParameters
+from service.safety.seating import CAMERA, NOMINAL, SeatingParameters
 from wire.arrays import FloatArray
 from wire.law import ComplianceLaw, ControlLimits
+
+SEARCH_M = 15e-3
+"""Distance beyond the possible places of the hole to which a policy's search may lead the tip."""
+ABOVE_HOVER_M = 20e-3
+"""Height above the hover to which it may lead the tip."""
+PROVEN_SHARE = 5.0 / 6.0
+"""Share of the success depth that a probe must prove: 2.5 mm of 3 mm, the paper's criterion."""
+OVERLIFT_M = 1e-3
+"""Lift of a probe beyond the success depth: a biased sensor holds a compliant arm off its target."""
+PROBE_N = 4.0
+"""Force from which a side holds the tip."""
+PROBE_PUSH_N = 10.0
+"""Largest force with which a probe can push, whatever the sensor says: stiffness times the target's lead."""
+PROBE_SPEED_M_S = 0.02
+PROBE_PATIENCE_S = 2.5
+"""Time of one leg of a probe after which it has failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +46,6 @@ class Plan:
         approach_speed_m_s: speed of scripted moves.
         max_steps: policy steps before the run fails.
         tick_s: period of the samples.
-        success_depth_m: depth of the peg's bottom below the surface that counts as inserted.
         retract: whether the tool moves up at the end.
         policy_deadline_s: longest time of one inference.
         clamped_steps: steps in a row with an outrageous action before the cell latches.
@@ -35,6 +53,8 @@ class Plan:
         limits: limits that the arm's own controller enforces.
         preflight: requirements on sensor and pose before the arm moves.
         step: the policy step, with its lock and its bounds.
+        seating: requirements on a seated peg, and the room of the run.
+        probe: question to the walls where no contact proves the seat.
     """
 
     start_position: FloatArray
@@ -46,7 +66,6 @@ class Plan:
     approach_speed_m_s: float
     max_steps: int
     tick_s: float
-    success_depth_m: float
     retract: bool
     policy_deadline_s: float
     clamped_steps: int
@@ -54,6 +73,8 @@ class Plan:
     limits: ControlLimits
     preflight: PreflightParameters
     step: PolicyStep
+    seating: SeatingParameters
+    probe: ProbeParameters
 
     def why_not_hole(self, estimate: FloatArray) -> str | None:
         """Return why an estimate cannot be the recipe's hole; None where it can.
@@ -95,7 +116,6 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         approach_speed_m_s=recipe.approach_speed_m_s,
         max_steps=contract.max_steps if recipe.max_steps is None else min(recipe.max_steps, contract.max_steps),
         tick_s=contract.tick_s,
-        success_depth_m=recipe.success_depth_m,
         retract=recipe.retract,
         policy_deadline_s=limits.policy_deadline_s,
         clamped_steps=limits.clamped_steps,
@@ -103,6 +123,22 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         limits=control,
         preflight=PreflightParameters(**config.preflight.model_dump()),
         step=PolicyStep(contract, bounds),
+        seating=SeatingParameters(
+            success_depth_m=recipe.success_depth_m,
+            clearance_m=recipe.clearance_m,
+            tolerance=CAMERA if contract.uses_estimate else NOMINAL,
+            search_m=SEARCH_M,
+            above_m=recipe.hover_m + ABOVE_HOVER_M,
+        ),
+        probe=ProbeParameters(
+            lift_m=recipe.success_depth_m + OVERLIFT_M,
+            proven_m=PROVEN_SHARE * recipe.success_depth_m,
+            clearance_m=recipe.clearance_m,
+            held_n=PROBE_N,
+            step_m=PROBE_SPEED_M_S * PATH_TICKS * contract.tick_s,
+            lead_m=min(bounds.leash_m, PROBE_PUSH_N / contract.compliance.stiffness[0]),
+            patience=round(PROBE_PATIENCE_S / (PATH_TICKS * contract.tick_s)),
+        ),
     )
 
 
