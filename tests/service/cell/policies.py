@@ -39,3 +39,11 @@ def straight(folder: Path, **changes: object) -> Path:
     weights = np.zeros((asked.observation_size, len(asked.action)))
     weights[0, 0] = weights[1, 1] = 500.0
     return save(folder / "straight.onnx", linear_model(asked, weights=weights))
+
+
+def sideways(folder: Path, **changes: object) -> Path:
+    """Pushes along x from the first contact on, wherever that leads."""
+    asked = document(**({"observation": (ObservationEntry.of("contact_height_known"),)} | changes))
+    weights = np.zeros((asked.observation_size, len(asked.action)))
+    weights[0, 0] = 5.0
+    return save(folder / "sideways.onnx", linear_model(asked, weights=weights))
