@@ -13,6 +13,7 @@ from training.evaluation.evaluate import play
 from wire.task import Conditions, Task
 
 MODELS = Path(__file__).parents[3] / "models"
+LOCKS = {"allow_lock": ("paper", "sliding")}
 
 
 @pytest.mark.parametrize(
@@ -35,7 +36,9 @@ async def test_cell_and_environment_count_the_same_episodes_as_inserted(
     tasks = [Task(seed, "tr", 1e-3 * clearance_mm, conditions) for seed in seeds]
     actor = Policy.load(model)
     counted = [result.success for result in play(actor, Insertions(actor.contract, len(tasks)), tasks)]
-    config = cell_config(tmp_path, model, clearance_m=1e-3 * clearance_mm, conditions=conditions, retract=False)
+    config = cell_config(
+        tmp_path, model, clearance_m=1e-3 * clearance_mm, conditions=conditions, retract=False, **LOCKS
+    )
     told: list[bool] = []
     true: list[bool] = []
     async with lockstep_cell(config) as bench:
