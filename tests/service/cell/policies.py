@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from service.policy.contract import ObservationEntry, PolicyContract
-from tests.service.policy.model_files import contract, linear_model
+from tests.service.policy.model_files import contract, failing_model, hanging_model, linear_model
 from training.environment.design import LAW, LOCK
 
 OBSERVATION = (
@@ -47,3 +47,21 @@ def sideways(folder: Path, **changes: object) -> Path:
     weights = np.zeros((asked.observation_size, len(asked.action)))
     weights[0, 0] = 5.0
     return save(folder / "sideways.onnx", linear_model(asked, weights=weights))
+
+
+def hanging(folder: Path, when: str, **changes: object) -> Path:
+    """Asks for nothing and never ends: at every inference (`load`), the `first` one of a run, or a `later` one."""
+    return save(folder / "hanging.onnx", hanging_model(document(hidden_size=1, **changes), when))
+
+
+def not_a_number(folder: Path) -> Path:
+    """Answers with NaN as soon as a run asks; the trial at loading does not show it."""
+    return save(folder / "nan.onnx", failing_model(document(hidden_size=1)))
+
+
+def pressing(folder: Path, **changes: object) -> Path:
+    """Comes down where it is, and from the first contact on asks for as much depth as the action allows."""
+    asked = document(observation=(*OBSERVATION, ObservationEntry.of("contact_height_known")), **changes)
+    weights = np.zeros((asked.observation_size, len(asked.action)))
+    weights[-1, 2] = -20.0
+    return save(folder / "pressing.onnx", linear_model(asked, weights=weights))
