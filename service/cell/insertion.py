@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from service.cell.arm_stops import why_not_drive
 from service.cell.orders import Disengage, Engage, Fail, Halt, Infer, Move, Order, Succeed, ZeroFt
-from service.cell.path import PATH_TICKS, Progress, StraightPath, within_step
-from service.cell.plan import Plan
+from service.cell.path import Progress, StraightPath, within_step
+from service.cell.plan import PATH_TICKS, PROBE_SAMPLES, Plan
 from service.cell.stages import DRIVEN, Stage
 from service.cell.tick_record import TickRecord
 from service.drivers.base import PoseTarget, Program, Sample
@@ -41,8 +41,6 @@ OUTRAGEOUS_ACTION = 10.0
 """Multiple of an action's limit that counts towards `clamped_steps`; trained policies stay within a few times."""
 OUTRAGEOUS_CHANGE = 3.0
 """Multiple of the allowed change of target that counts as well."""
-PROBE_SAMPLES = 25
-"""Newest samples whose mean force a probe judges."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,8 +266,8 @@ class Insertion:
         if self._doubt is None or (sample.seq - self._stage_seq) % PATH_TICKS:
             return
         seat, probe = self._doubt
-        answer = probe.advance(sample.tcp_position, np.array(self._window)[-PROBE_SAMPLES:, :3].mean(0))
-        if answer is Answer.HELD:
+        force = np.array(self._window)[-PROBE_SAMPLES:, :3].mean(0)
+        if (answer := probe.advance(sample.tcp_position, force)) is Answer.HELD:
             yield from self._succeed(seat.depth_m, sample)
         elif answer is Answer.UNDER_WAY:
             yield self._scripted(probe.target, probe.yaw)

@@ -12,8 +12,6 @@ from service.drivers.base import Sample
 from service.safety.pose import wrap
 from wire.arrays import FloatArray
 
-PATH_TICKS = 5
-"""Samples between two targets of a scripted move."""
 ARRIVAL_M = 5e-3
 """Distance of the measured TCP from the end that counts as arrived; a biased sensor holds a compliant arm off."""
 ARRIVAL_SPEED_M_S = 5e-3

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.cell.path import PATH_TICKS
 from service.config import CellConfig, LimitsSection, RecipeSection
 from service.policy.contract import PolicyContract
 from service.policy.step import PolicyStep, command_bounds
@@ -15,6 +14,8 @@ from service.safety.seating import CAMERA, NOMINAL, SeatingParameters
 from wire.arrays import FloatArray
 from wire.law import ComplianceLaw, ControlLimits
 
+PATH_TICKS = 5
+"""Samples between two targets of a scripted move."""
 SEARCH_M = 15e-3
 """Distance beyond the possible places of the hole to which a policy's search may lead the tip."""
 ABOVE_HOVER_M = 20e-3
@@ -27,6 +28,8 @@ PROBE_N = 4.0
 """Force from which a side holds the tip."""
 PROBE_PUSH_N = 10.0
 """Largest force with which a probe can push, whatever the sensor says: stiffness times the target's lead."""
+PROBE_SAMPLES = 25
+"""Newest samples whose mean force a probe judges."""
 PROBE_SPEED_M_S = 0.02
 PROBE_PATIENCE_S = 2.5
 """Time of one leg of a probe after which it has failed."""

@@ -102,7 +102,7 @@ class Probe:
 
     @property
     def text(self) -> str:
-        """What the walls answered, where they do not hold the tip; for people."""
+        """Answer of the walls where they do not hold the tip; for people."""
         match self._leg:
             case _Leg.UP:
                 return "drawn up, it does not come"

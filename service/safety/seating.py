@@ -103,7 +103,7 @@ class Finding(StrEnum):
     UNPROVEN = "UNPROVEN"
     """Deep below where the mouth is expected, without a contact there: the walls must tell."""
     CONTRADICTED = "CONTRADICTED"
-    """What was measured does not go together; the run cannot succeed."""
+    """Measurements contradict each other; the run cannot succeed."""
 
 
 @dataclass(frozen=True, slots=True)
