@@ -348,7 +348,7 @@ class Insertion:
             yield self._halt(FaultCode.BOUNDS, f"{self._outrageous} outrageous steps in a row, the last with {text}")
             return
         yield order
-        if settled and seat.finding is not Finding.NOT_DEEP:
+        if settled:
             yield from self._conclude(seat, sample)
         else:
             yield from self._judge(sample, decision.locked)

@@ -22,12 +22,12 @@ ABOVE_HOVER_M = 20e-3
 """Height above the hover to which it may lead the tip."""
 PROVEN_SHARE = 5.0 / 6.0
 """Share of the success depth that a probe must prove: 2.5 mm of 3 mm, the paper's criterion."""
-OVERLIFT_M = 1e-3
-"""Lift of a probe beyond the success depth: a biased sensor holds a compliant arm off its target."""
 PROBE_N = 4.0
 """Force from which a side holds the tip."""
-PROBE_PUSH_N = 10.0
-"""Largest force with which a probe can push, whatever the sensor says: stiffness times the target's lead."""
+PROBE_PUSH_N = 6.0
+"""Largest force with which a probe pushes aside, whatever the sensor says: stiffness times the target's lead."""
+PROBE_PULL_N = 9.0
+"""The same down and up."""
 PROBE_SAMPLES = 25
 """Newest samples whose mean force a probe judges."""
 PROBE_SPEED_M_S = 0.02
@@ -134,12 +134,12 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
             above_m=recipe.hover_m + ABOVE_HOVER_M,
         ),
         probe=ProbeParameters(
-            lift_m=recipe.success_depth_m + OVERLIFT_M,
+            sink_m=CAMERA.height_m,
             proven_m=PROVEN_SHARE * recipe.success_depth_m,
             clearance_m=recipe.clearance_m,
             held_n=PROBE_N,
             step_m=PROBE_SPEED_M_S * PATH_TICKS * contract.tick_s,
-            lead_m=min(bounds.leash_m, PROBE_PUSH_N / contract.compliance.stiffness[0]),
+            lead_m=(_lead(PROBE_PUSH_N, contract, 0), _lead(PROBE_PULL_N, contract, 2)),
             patience=round(PROBE_PATIENCE_S / (PATH_TICKS * contract.tick_s)),
         ),
     )
@@ -154,3 +154,8 @@ def plan_monitor(limits: LimitsSection, force_ceiling_n: float) -> MonitorParame
         max_age_s=limits.sample_age_s,
         max_gap_s=limits.sample_age_s,
     )
+
+
+def _lead(force_n: float, contract: PolicyContract, axis: int) -> float:
+    """Return the lead of a target with which the law pulls with a force along an axis, m."""
+    return force_n / contract.compliance.stiffness[axis]

@@ -18,7 +18,7 @@ STRAY_PER_CLEARANCE = 2.0
 """Largest distance of a seated peg's axis from the hole's, over the clearance per face: in a corner of a triangle."""
 
 SETTLED_STEPS = 2
-"""Policy steps in a row with the same finding after which it counts."""
+"""Policy steps in a row with a finding, `NOT_DEEP` excepted, of which the last counts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,16 +28,19 @@ class Tolerance:
     Attributes:
         lateral_m: horizontal error, m.
         height_m: vertical error, m.
+        unfelt_m: depth beyond the success depth that a tip without a contact needs before the walls are asked, m.
     """
 
     lateral_m: float
     height_m: float
+    unfelt_m: float
 
 
-CAMERA = Tolerance(6e-3, 2.5e-3)
+CAMERA = Tolerance(6e-3, 2.5e-3, 0.0)
 """Tolerance of the camera's estimate: five standard deviations of the standard conditions."""
-NOMINAL = Tolerance(15.5e-3, 12e-3)
-"""Tolerance of a recipe's nominal hole: the paper's search domain of ±10 mm, with its corners."""
+NOMINAL = Tolerance(15.5e-3, 12e-3, 12e-3)
+"""Tolerance of a recipe's nominal hole: the paper's search domain of ±10 mm, with its corners. In free air the
+search goes on until the mouth must have been passed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +142,7 @@ def judge(parameters: SeatingParameters, hole: FloatArray, contact_m: float, tip
     # A first contact far below the mouth was made in the hole, or the mouth is lower than expected
     felt = above > -height_m
     depth = (contact_m if felt else expected) - height
-    if not depth > parameters.success_depth_m + (0.0 if felt else height_m):
+    if not depth > parameters.success_depth_m + (0.0 if felt else parameters.tolerance.unfelt_m):
         return Seat(depth, Finding.NOT_DEEP)
     beside = _beside(hole, tip)
     if not beside <= parameters.seat_m:
@@ -161,18 +164,16 @@ class Seating:
         parameters: requirements.
     """
 
-    __slots__ = ("_finding", "_parameters", "_steps")
+    __slots__ = ("_parameters", "_steps")
 
     def __init__(self, parameters: SeatingParameters) -> None:
         self._parameters = parameters
-        self._finding = Finding.NOT_DEEP
         self._steps = 0
 
     def observe(self, hole: FloatArray, contact_m: float, tip: FloatArray) -> tuple[Seat, bool]:
-        """Judge one policy step, arguments as for `judge`; also return whether its finding has held for long enough."""
+        """Judge one policy step, arguments as for `judge`; also return whether its finding counts."""
         seat = judge(self._parameters, hole, contact_m, tip)
-        self._steps = self._steps + 1 if seat.finding is self._finding else 1
-        self._finding = seat.finding
+        self._steps = 0 if seat.finding is Finding.NOT_DEEP else self._steps + 1
         return seat, self._steps >= SETTLED_STEPS
 
 
