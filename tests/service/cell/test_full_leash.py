@@ -28,7 +28,7 @@ async def test_a_run_that_fails_at_full_leash_fails_and_does_not_latch(
     weights = np.zeros((document.observation_size, len(document.action)))
     weights[0, way], weights[0, 2], weights[0, 3] = 10.0, -10.0, 10.0
     policy = policies.save(tmp_path / "far.onnx", policies.linear_model(document, weights=weights))
-    async with faulty_cell(policy, allow_lock=("off",), max_steps=4, limits={"clamped_steps": 100}) as faulty:
+    async with faulty_cell(policy, allow_lock=("off",), max_steps=4, limits={"clamped_steps": 20}) as faulty:
         driver = faulty.driver
         sent: list[tuple[PoseTarget, Sample]] = []
         send = driver.send_target
