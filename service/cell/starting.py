@@ -12,7 +12,7 @@ from service.cell.journal import Journal
 from service.cell.plan import plan_insertion
 from service.cell.policies import Admitted, PolicyRefusedError, PolicyShelf
 from service.cell.runs import ActiveRun, RunHost, Runs
-from service.config import CellConfig, RecipeSection
+from service.config import CellConfig, RecipeSection, why_edited
 from service.drivers.base import Driver, DriverError
 from service.faults import FaultCode
 from service.messages import CellState, EventKind, RefusalReason, Refused, Run, RunResult, RunState, StartRequest
@@ -86,6 +86,8 @@ class Starting:
         active = self._runs.begin(request, self._host)
         self._intake.clear_peak()
         try:
+            if (edited := await asyncio.to_thread(why_edited, self._config)) is not None:
+                return self._take_back(active, RefusalReason.WRONG_STATE, edited)
             policy = await asyncio.to_thread(self._policies.admit, request.recipe)
         except PolicyRefusedError as error:
             return self._take_back(active, RefusalReason.POLICY_REFUSED, str(error))
