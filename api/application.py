@@ -20,6 +20,7 @@ from api.control_process import JOIN_S, ControlProcess
 from api.history import RunHistory
 from api.models import Frame
 from api.protection import Protection, is_loopback
+from api.receipt import Receipts
 from api.routes import commands, page, runs, state, streams
 from api.runtime import Runtime
 from api.version import VERSION
@@ -58,6 +59,7 @@ def build_routes(lifespan: Callable[[FastAPI], Any] | None = None) -> FastAPI:
         lifespan=lifespan,
     )
     problems.install(app)
+    app.add_middleware(Receipts)
     _complete_openapi(app)
     for module in (commands, state, runs, streams, page):
         app.include_router(module.router, responses=problems.described(403, 421))
@@ -109,12 +111,15 @@ def create_app(config: CellConfig, path: Path) -> Protection:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
-        endpoint = [config.cell.endpoint]
+        cell_id, endpoint, certificates = config.cell.id, [config.cell.endpoint], config.certificates
         history = RunHistory(database)
         await history.open()
         control_process = ControlProcess(config, path)
         closing = asyncio.Event()
-        async with CellClient(config.cell.id, endpoint) as client, CellClient(config.cell.id, endpoint) as stopper:
+        async with (
+            CellClient(cell_id, endpoint, certificates=certificates) as client,
+            CellClient(cell_id, endpoint, certificates=certificates) as stopper,
+        ):
             cell = FollowedCell(client, stopper, history)
             app.state.runtime = Runtime(config, cell, control_process, closing)
 

@@ -7,11 +7,13 @@ from typing import assert_never
 
 import typer
 
+from service.cell.alone import alone
 from service.commands.configured import ConfigPath, load_cell, ur_section
 from service.config import CellConfig
 from service.drivers.sim_process import Simulator, simulator
 from service.logs import take_over_stderr
 from wire.exits import Exit
+from wire.tls import is_encrypted
 
 
 def control(config: ConfigPath = None) -> None:
@@ -19,7 +21,7 @@ def control(config: ConfigPath = None) -> None:
     cell = load_cell(config)
     take_over_stderr()
     try:
-        with _world(cell) as world:
+        with alone(cell.cell.state_dir), _world(cell) as world:
             _run(cell, world)
     except OSError as error:
         typer.echo(f"the control process cannot run: {error}", err=True)
@@ -37,7 +39,7 @@ def _world(cell: CellConfig) -> AbstractContextManager[Simulator]:
 def _simulator_of(cell: CellConfig) -> tuple[Sequence[str], Sequence[str]] | None:
     """Return the simulator's arguments and the endpoints at which it listens; None for a real arm."""
     sim = cell.sim
-    world = ("--world", sim.world, "--listen", sim.endpoint)
+    world = ("--world", sim.world, "--listen", sim.endpoint, *_security(cell))
     match cell.cell.driver:
         case "zenoh_sim":
             return ("sim", "serve", "--mode", sim.mode.replace("_", "-"), *world), (sim.endpoint,)
@@ -48,6 +50,16 @@ def _simulator_of(cell: CellConfig) -> tuple[Sequence[str], Sequence[str]] | Non
             return ("sim", "ur-controller", "--host", ur.host, *world), (f"tcp/{ur.host}:{ur.rtde_port}", sim.endpoint)
         case _ as never:
             assert_never(never)
+
+
+def _security(cell: CellConfig) -> Sequence[str]:
+    """Return the simulator's options for an encrypted endpoint."""
+    tls = cell.tls
+    if tls is None or not is_encrypted(cell.sim.endpoint):
+        return ()
+    files = ("--authority", str(tls.authority), "--certificate", str(tls.certificate), "--key", str(tls.key))
+    names = (("--commander", tls.commanders), ("--reader", tls.readers))
+    return (*files, *(word for option, values in names for value in values for word in (option, value)))
 
 
 def _run(cell: CellConfig, world: Simulator) -> None:
