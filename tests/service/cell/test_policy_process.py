@@ -83,7 +83,8 @@ async def real_cell(tmp_path: Path, endpoint: str, policy: Path) -> AsyncIterato
     with sim_process(endpoint):
         driver = FaultyDriver(ZenohSimDriver("world-1", [endpoint], "real_time"))
         driver.real_time = True
-        cell = Cell(cell_config(tmp_path / "state", policy, LIMITS, conditions="easy"), driver)
+        cell = Cell(cell_config(tmp_path / "state", policy, LIMITS | {"sample_age_s": 0.45}, conditions="easy"), driver)
+        cell.lateness.limit_s = 0.45  # a loaded test machine is late, which these tests are not about
         async with attended(cell):
             await until(lambda: cell.state is CellState.READY)
             yield cell, driver
@@ -150,7 +151,9 @@ async def test_26_inference_that_hangs_is_held_for_then_latches_while_the_monito
         cell.journal.observers.append(kept := Records())
         run_id = await started(cell)
         steps = 0 if when == "first" else 3
-        await until(lambda: cell.state in (CellState.RUNNING, CellState.LATCHED) and len(kept.records) >= steps)
+        await until(
+            lambda: cell.state is CellState.LATCHED or (cell.state is CellState.RUNNING and len(kept.records) >= steps)
+        )
         await asyncio.sleep(0.12)
         assert cell.state is CellState.RUNNING, f"it holds: {cell.journal.latch}"
         samples, sent = cell.status().counters.samples, len(driver.said("target"))
