@@ -34,7 +34,8 @@ class Subscription:
     async def next(self, timeout_s: float) -> Event | None:
         """Return the next event; None after `timeout_s`, or earlier when the status changed or the feed ended."""
         try:
-            return await asyncio.wait_for(self._queue.get(), timeout_s)
+            async with asyncio.timeout(timeout_s):
+                return await self._queue.get()
         except TimeoutError:
             return None
 

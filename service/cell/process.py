@@ -1,7 +1,6 @@
 """The control process of one cell: starts driver, cell and control plane, and ends them in the right order."""
 
 import asyncio
-import contextlib
 import fcntl
 import signal
 import time
@@ -16,8 +15,12 @@ from service.cell.control_plane import ControlPlane
 from service.cell.watch import keep_linked, keep_watch
 from service.config import CellConfig
 from service.drivers.base import Driver
+from service.tasks import end_tasks
 from wire.realtime import freeze_garbage, request_realtime
 from wire.session import close_session, open_session
+
+TASKS_END_S = 0.5
+"""Longest wait for a task of the cell that was cancelled, s."""
 
 _log = structlog.get_logger("service")
 
@@ -32,10 +35,11 @@ async def attended(cell: Cell) -> AsyncGenerator[None]:
     finally:
         link.cancel()
         await cell.close()
-        watch.cancel()
-        for result in await asyncio.gather(link, watch, return_exceptions=True):
-            if isinstance(result, Exception):
-                _log.error("task of the cell", error=repr(result))
+        for task in await end_tasks([link, watch], TASKS_END_S):
+            _log.error("a task of the cell does not end", task=repr(task))
+        for task in (link, watch):
+            if task.done() and not task.cancelled() and task.exception() is not None:
+                _log.error("task of the cell", error=repr(task.exception()))
 
 
 @contextmanager
@@ -92,8 +96,6 @@ async def _run(config: CellConfig, driver: Driver) -> None:
             _log.info("serving", cell=config.cell.id, endpoint=config.cell.endpoint, state=cell.state.value)
             await ended.wait()
             _log.info("ending", state=cell.state.value)
-        status.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await status
+        await end_tasks([status], TASKS_END_S)
     finally:
         await asyncio.to_thread(close_session, session)

@@ -361,7 +361,8 @@ async def test_a_start_that_the_disk_refused_leaves_no_run_behind(faulty_cell: F
         assert isinstance(refused, Refused)
         assert refused.problem.reason is RefusalReason.STORAGE
         assert ledger.newest(10) == ()
-        await asyncio.wait_for(asyncio.wrap_future(bench.cell.journal._storage.submit(lambda: None)), 5.0)
+        async with asyncio.timeout(5.0):
+            await asyncio.wrap_future(bench.cell.journal._storage.submit(lambda: None))
         accepted = await bench.cell.start(request)
         assert isinstance(accepted, RunResult)
         assert accepted.created, "it is a start, not the run that never was"
