@@ -124,7 +124,9 @@ async def stop(request: Request, response: Response) -> StopAnswer:
         told = await deliver(stopper, asked)
     except Exception as error:  # whatever it is, the person who stops must be told what to do
         _log.error("stop not delivered", asked_by=asked.requested_by, error=str(error))
-        raise ProblemError(503, "STOP_NOT_DELIVERED", STOP_SILENT_TEXT, state=CellState.UNKNOWN, confirmed=False) from error
+        raise ProblemError(
+            503, "STOP_NOT_DELIVERED", STOP_SILENT_TEXT, state=CellState.UNKNOWN, confirmed=False
+        ) from error
     stopped = await confirm(stopper, told, deadline - loop.time())
     status = stopped.status
     _log.warning("stop", confirmed=stopped.confirmed, state=status.state.value, asked_by=asked.requested_by)

@@ -1,7 +1,6 @@
 """A control process on the wire (real Zenoh, real messages) that does what a test tells it, and a server before it."""
 
 import asyncio
-import json
 import socket
 import threading
 import time
