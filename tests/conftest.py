@@ -11,7 +11,13 @@ from service.logs import PROCESSORS
 # How long an example takes says something about the machine, and nothing about the code.
 settings.register_profile("without_deadline", deadline=None)
 settings.load_profile("without_deadline")
-structlog.configure(processors=PROCESSORS)
+
+
+@pytest.fixture(autouse=True)
+def logs_of_a_test() -> None:
+    """Log to the standard output of this test; an earlier one may have sent the log to a stream that is closed now."""
+    structlog.reset_defaults()
+    structlog.configure(processors=PROCESSORS)
 
 
 @pytest.fixture

@@ -3,7 +3,8 @@
     python examples/own_driver/insert.py
 
 The cell, its process protection and the policy are those that ship; only the arm is a toy (world.py). To name a driver
-in a cell's configuration, add it to `cell.driver` in `service/config.py` and make it in `service/commands/drivers.py`.
+in a cell's configuration, add it to `cell.driver` in `service/config/sections.py` and make it in
+`service/commands/drivers.py`.
 """
 
 import asyncio

@@ -23,8 +23,9 @@ def test_every_public_module_of_the_package_stands_in_the_reference(package: str
 
 
 def test_listed_modules_exist() -> None:
-    assert LISTED
-    assert not [name for name in LISTED if not (ROOT / name.replace(".", "/")).with_suffix(".py").is_file()]
+    places = [ROOT / name.replace(".", "/") for name in LISTED]
+    assert places
+    assert not [at for at in places if not at.with_suffix(".py").is_file() and not (at / "__init__.py").is_file()]
 
 
 def test_the_menu_lists_every_document() -> None:

@@ -39,3 +39,11 @@ def straight(folder: Path, **changes: object) -> Path:
     weights = np.zeros((asked.observation_size, len(asked.action)))
     weights[0, 0] = weights[1, 1] = 500.0
     return save(folder / "straight.onnx", linear_model(asked, weights=weights))
+
+
+def pressing(folder: Path, **changes: object) -> Path:
+    """Comes down where it is, and from the first contact on asks for as much depth as the action allows."""
+    asked = document(observation=(*OBSERVATION, ObservationEntry.of("contact_height_known")), **changes)
+    weights = np.zeros((asked.observation_size, len(asked.action)))
+    weights[-1, 2] = -20.0
+    return save(folder / "pressing.onnx", linear_model(asked, weights=weights))

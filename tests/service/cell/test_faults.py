@@ -289,7 +289,7 @@ def with_client(faulty: FaultyBench) -> Spoil:
     return heard
 
 
-async def test_a_client_that_falls_silent_stops_the_run_where_that_is_asked_for_client_lost(
+async def test_36_a_client_that_falls_silent_stops_the_run_where_that_is_asked_for_client_lost(
     faulty_cell: FaultyCell,
 ) -> None:
     loss = ClientLossSection(policy="stop", limit_s=0.3)

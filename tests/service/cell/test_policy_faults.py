@@ -1,4 +1,4 @@
-"""Faults of the policy, in its file and in its answers: rows 24 to 29."""
+"""Faults of the policy, in its file and in its answers: rows 2 and 24 to 29."""
 
 import threading
 from dataclasses import replace
@@ -17,7 +17,28 @@ from service.safety.dsl import DslParameters
 from service.testing import RECIPE, cell_config, lockstep_cell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyCell
+from training.environment import design
 from training.environment.design import LAW
+
+
+async def test_02_a_policy_that_presses_on_goes_no_deeper_than_the_lock(
+    faulty_cell: FaultyCell, tmp_path: Path
+) -> None:
+    beside_the_hole = 1
+    async with faulty_cell(policies.pressing(tmp_path)) as faulty:
+        run = await faulty.bench.insert(beside_the_hole)
+        assert (run.state, run.code) == (RunState.FAILED, FaultCode.SEARCH_LIMIT)
+        assert faulty.bench.cell.journal.latch is None
+        pressed = [record for record in faulty.bench.records if record.displacement[2] < 0]
+        locked = [record for record in pressed if record.dsl.phase == dsl.Phase.LOCKED]
+        assert len(locked) > 20
+        assert all(record.dsl.clamped for record in locked), "each limit is on record"
+        one_step_m = design.LOCK.seek_step_m - min(record.displacement[2] for record in pressed)
+        for record in locked:
+            assert record.target.position[2] >= record.dsl.z_lock - 1e-9
+        for record in pressed:
+            deeper_m = record.sample.tcp_position[2] - record.target.position[2]
+            assert deeper_m <= one_step_m + 1e-9
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

@@ -7,7 +7,7 @@ from service.config import PATH_VARIABLE, CellConfig, ConfigError, RecipeSection
 from wire.limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 from wire.task import Conditions
 
-SHIPPED = Path(__file__).parents[2] / "config" / "cell.toml"
+SHIPPED = Path(__file__).parents[3] / "config" / "cell.toml"
 
 
 def written(tmp_path: Path, old: str = "", new: str = "") -> Path:

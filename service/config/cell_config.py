@@ -1,0 +1,64 @@
+"""The configuration of one cell: its sections, and the check that they agree."""
+
+from typing import Annotated, Self, assert_never
+
+from pydantic import Field, model_validator
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+
+from service.config.checks import recipes_beyond_limits, within_limits, within_preflight, without_robot
+from service.config.fields import Name
+from service.config.limits import LimitsSection, PreflightSection
+from service.config.sections import ApiSection, CameraSection, CellSection, ClientLossSection, RecipeSection, SimSection
+from service.config.ur import UrSection
+
+
+class CellConfig(BaseSettings):
+    """The configuration of one cell."""
+
+    model_config = SettingsConfigDict(
+        env_prefix="DSL_ASSEMBLY__", env_nested_delimiter="__", extra="forbid", frozen=True, validate_default=True
+    )
+
+    cell: CellSection
+    limits: LimitsSection
+    preflight: PreflightSection = PreflightSection()
+    sim: SimSection = SimSection()
+    ur: UrSection | None = None
+    camera: CameraSection | None = None
+    api: ApiSection = ApiSection()
+    client_loss: ClientLossSection = ClientLossSection()
+    recipes: Annotated[dict[Name, RecipeSection], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        contradictions = (
+            *within_limits(self.limits),
+            *within_preflight(self.preflight),
+            *recipes_beyond_limits(self.recipes, self.limits),
+            *without_robot(self.cell, self.ur),
+        )
+        if contradictions:
+            raise ValueError("; ".join(contradictions))
+        return self
+
+    @property
+    def sees_hole(self) -> bool:
+        """True where something estimates the hole's position: the simulated cell's camera, or that of `[camera]`."""
+        match self.cell.driver:
+            case "zenoh_sim":
+                return True
+            case "ur":
+                return self.camera is not None
+            case _ as never:
+                assert_never(never)
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        return (env_settings, init_settings)

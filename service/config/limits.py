@@ -1,0 +1,102 @@
+"""Limits that no run may exceed, and requirements before the arm moves."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from service.config.fields import Box, Force, Positive, Section, SixPositive, Torque
+from wire.limits import MAX_SPEED, MAX_STEP, TARGET_AGE_S, TILT_RAD, TORQUE_CEILING_NM, YAW_HALF_RANGE_RAD
+
+
+class LimitsSection(Section):
+    """Limits that no run may exceed.
+
+    Attributes:
+        force_ceiling_n: largest resultant force of any single sample, N.
+        torque_ceiling_nm: largest resultant torque at the TCP of any single sample, N·m.
+        sample_age_s: age of the newest sample, and gap between two, at which the cell latches STALE.
+        stuck_samples: bit-identical wrenches in a row at which the cell latches SENSOR_STUCK.
+        target_age_s: time without a target after which the arm's own controller stops.
+        max_step_m: largest change between two targets, and largest distance of a target from the measured position.
+        max_turn_rad: the same for the yaw.
+        max_speed_m_s: largest speed of targets and of the arm's reference.
+        max_turn_speed_rad_s: the same for the yaw.
+        max_tilt_rad: largest tilt of the tool from straight down.
+        max_stiffness: N/m and N·m/rad. A policy that wants more is refused.
+        min_damping: N·s/m and N·m·s/rad. A policy that wants less is refused: the arm would swing.
+        max_damping: a policy that wants more is refused: the arm would hardly yield.
+        min_inertia: kg and kg·m². A policy that wants less is refused, for the same reason.
+        max_inertia: a policy that wants more is refused: an impact would be hard.
+        max_press_m: how far a policy's lock may press below the height of a contact.
+        max_contact_share: largest `dsl.contact_threshold` of a policy's clips, as a share of force ceiling and torque
+            ceiling: the lock must feel a contact long before the cell stops for it.
+        max_seek_step_m: largest step downwards of a policy's lock while it seeks.
+        max_lift_m: largest height above the first contact to which a policy's lock may rise.
+        max_search_depth_m: largest depth of one stretch of a policy's search for contact.
+        max_search_steps: largest length of one, policy steps.
+        max_hole_offset_m: largest distance of the camera's estimate of the hole from the nominal one, per axis;
+            beyond it the run fails before any motion.
+        workspace_m: lower and upper corner of the box in which the TCP stays, base frame.
+        yaw_range_rad: largest turn from the start yaw, either way.
+        clamped_steps: outrageous policy steps in a row before the cell latches BOUNDS.
+        stop_confirm_s: time in which standstill must be measured after a stop.
+        policy_deadline_s: time of one inference at which the cell latches POLICY_DEADLINE.
+    """
+
+    force_ceiling_n: Force
+    torque_ceiling_nm: Torque = TORQUE_CEILING_NM
+    sample_age_s: Annotated[float, Field(ge=0.006, le=0.5, allow_inf_nan=False)] = 0.05
+    stuck_samples: Annotated[int, Field(ge=2, le=500)] = 10
+    target_age_s: Annotated[float, Field(ge=0.02, le=1.0, allow_inf_nan=False)] = TARGET_AGE_S
+    max_step_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = MAX_STEP[0]
+    max_turn_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = MAX_STEP[1]
+    max_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = MAX_SPEED[0]
+    max_turn_speed_rad_s: Annotated[float, Field(gt=0.0, le=3.0, allow_inf_nan=False)] = MAX_SPEED[1]
+    max_tilt_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = TILT_RAD
+    max_stiffness: SixPositive = (3000.0, 3000.0, 3000.0, 100.0, 100.0, 100.0)
+    min_damping: SixPositive = (60.0, 60.0, 60.0, 0.1, 0.1, 0.1)
+    max_damping: SixPositive = (2000.0, 2000.0, 2000.0, 5.0, 5.0, 5.0)
+    min_inertia: SixPositive = (0.5, 0.5, 0.5, 0.01, 0.01, 0.005)
+    max_inertia: SixPositive = (10.0, 10.0, 10.0, 0.2, 0.2, 0.2)
+    max_press_m: Annotated[float, Field(gt=0.0, le=0.02, allow_inf_nan=False)] = 5e-3
+    max_contact_share: Annotated[float, Field(gt=0.0, le=1.0, allow_inf_nan=False)] = 1.0 / 3.0
+    max_seek_step_m: Annotated[float, Field(gt=0.0, le=0.02, allow_inf_nan=False)] = 5e-3
+    max_lift_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 0.01
+    max_search_depth_m: Annotated[float, Field(gt=0.0, le=0.2, allow_inf_nan=False)] = 0.1
+    max_search_steps: Annotated[int, Field(ge=1, le=2000)] = 200
+    max_hole_offset_m: tuple[Positive, Positive, Positive] = (0.08, 0.06, 0.05)
+    workspace_m: Box
+    yaw_range_rad: Annotated[float, Field(gt=0.0, le=3.14159, allow_inf_nan=False)] = YAW_HALF_RANGE_RAD
+    clamped_steps: Annotated[int, Field(ge=1, le=100)] = 5
+    stop_confirm_s: Annotated[float, Field(ge=0.05, le=2.0, allow_inf_nan=False)] = 0.5
+    policy_deadline_s: Annotated[float, Field(ge=0.005, le=0.5, allow_inf_nan=False)] = 0.12
+
+
+class PreflightSection(Section):
+    """Requirements on sensor and pose before the arm moves; `service/safety/preflight.py` checks them.
+
+    Attributes:
+        window_samples: number of samples that are judged.
+        contact_force_n: mean resultant force that means that something touches the tool.
+        bias_force_n: largest mean resultant force after zeroing.
+        bias_torque_nm: the same for torque.
+        noise_force_n: largest standard deviation of a component.
+        noise_torque_nm: the same for torque.
+        position_m: largest distance from the start position.
+        yaw_rad: largest turn from the start yaw.
+        tilt_rad: largest tilt.
+        unzeroed_force_n: mean resultant force before zeroing that means that something loads the tool.
+        unzeroed_torque_nm: the same for torque.
+    """
+
+    window_samples: Annotated[int, Field(ge=10, le=1000)] = 100
+    contact_force_n: Force = 3.0
+    bias_force_n: Force = 1.5
+    bias_torque_nm: Torque = 0.3
+    noise_force_n: Force = 1.5
+    noise_torque_nm: Torque = 0.4
+    position_m: Positive = 5e-3
+    yaw_rad: Positive = 0.05
+    tilt_rad: Positive = 0.02
+    unzeroed_force_n: Force = 12.0
+    unzeroed_torque_nm: Positive = 2.5
