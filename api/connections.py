@@ -8,11 +8,12 @@ import asyncio
 import functools
 import resource
 from collections.abc import Iterable
+from typing import cast
 from urllib.parse import unquote
 
 import h11
 from starlette.types import Message, Scope
-from uvicorn.protocols.http.h11_impl import STATUS_PHRASES, H11Protocol
+from uvicorn.protocols.http.h11_impl import STATUS_PHRASES, H11Protocol, RequestResponseCycle
 
 from api.stop_rule import is_stop
 
@@ -58,8 +59,13 @@ class Connection(H11Protocol):
 
     @property
     def is_idle(self) -> bool:
-        """True while no request is open, one whose head is still to come included."""
-        return not self.stopping and (self.cycle is None or self.cycle.response_complete)
+        """True while no request is open. One whose head is still to come is none."""
+        return not self.stopping and self._open is None
+
+    @property
+    def _open(self) -> RequestResponseCycle | None:
+        cycle = cast("RequestResponseCycle | None", self.cycle)  # None before the first request
+        return None if cycle is None or cycle.response_complete else cycle
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take the connection, and close an older one if there are too many."""
@@ -78,7 +84,8 @@ class Connection(H11Protocol):
 
     @property
     def _carries_stop(self) -> bool:
-        return self.stopping or (not self.is_idle and is_stop(self.cycle.scope["method"], self.cycle.scope["path"]))
+        request = self._open
+        return self.stopping or (request is not None and is_stop(request.scope["method"], request.scope["path"]))
 
     def data_received(self, data: bytes) -> None:
         """Take in bytes; a stop behind an unfinished request does not wait for it."""
@@ -156,10 +163,11 @@ class Connection(H11Protocol):
 
     def _carry_out(self, scope: Scope) -> None:
         """Carry a stop out, answer it if no other answer has begun, and close the connection."""
-        answers = self.is_idle or not self.cycle.response_started
-        if not self.is_idle:
-            self.cycle.disconnected = True
-            self.cycle.message_event.set()
+        request = self._open
+        answers = request is None or not request.response_started
+        if request is not None:
+            request.disconnected = True
+            request.message_event.set()
         self.stopping = True
         task = self.loop.create_task(self._answer(scope, answers))
         self.tasks.add(task)

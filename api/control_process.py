@@ -82,5 +82,7 @@ class ControlProcess:
             return
         while (ending := self.child.ending()) is None:
             await asyncio.sleep(POLL_S)
+        if self._is_ending:
+            return
         self.note = f"{ending[0].upper()}{ending[1:]}. Nothing restarts it."
         _log.error("process ended", note=self.note)

@@ -114,13 +114,13 @@ class Protection:
     def _refusal(self, scope: Scope) -> tuple[int, str, str] | None:
         headers = Headers(scope=scope)
         server = scope.get("server")
-        is_local = server is None or server[1] is None or is_loopback(server[0])  # a Unix socket has no port
-        if not (self._allow_remote or is_local):
+        arrived = None if server is None or server[1] is None else server[0]  # a Unix socket has no port
+        if not (self._allow_remote or arrived is None or is_loopback(arrived)):
             return (
                 403,
                 "NOT_LOOPBACK",
                 (
-                    f"This cell is served on loopback only, and the request came in on {server[0]}. There is no "
+                    f"This cell is served on loopback only, and the request came in on {arrived}. There is no "
                     "authorisation yet: set allow_remote in the API's settings to accept other machines nevertheless."
                 ),
             )
