@@ -385,7 +385,14 @@ async def serving(path: Path) -> AsyncIterator[Api]:
     app = create_app(config, path)
     port = free_port()
     settings = uvicorn.Config(
-        app, host="127.0.0.1", port=port, http=Connection, ws="none", log_config=None, lifespan="on"
+        app,
+        host="127.0.0.1",
+        port=port,
+        http=Connection,
+        ws="none",
+        log_config=None,
+        lifespan="on",
+        timeout_graceful_shutdown=5,
     )
     server = uvicorn.Server(settings)
     task = asyncio.create_task(server.serve())

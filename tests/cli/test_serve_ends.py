@@ -8,7 +8,7 @@ import sqlite3
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import httpx
@@ -82,10 +82,8 @@ def serving(config: Path) -> Iterator[Served]:
     finally:
         served.http.close()
         for pid in [served.process.pid, *served.descendants()]:
-            try:
+            with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-            except ProcessLookupError:
-                pass
         served.process.wait()
 
 
