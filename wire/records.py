@@ -29,7 +29,7 @@ class Kind(IntEnum):
     TARGET = 3
     """A TCP pose target. Ignored unless engaged, and unless its `seq` is above every earlier one of this client."""
     STOP = 4
-    """Decelerate, hold and disengage. Accepted from anyone, in any state."""
+    """Decelerate, hold and disengage. Accepted in any state, and from anyone while no holder is heard."""
     ZERO_FT = 5
     """Take the average of the latest wrenches as the zero, as `zero_ftsensor()` does. Refused while engaged."""
     UNLOCK = 6
@@ -87,7 +87,7 @@ STATE = np.dtype(
         ("hole_estimate", "<f8", 3),  # the camera's estimate of the centre of the hole's mouth; NaN without one
         ("peak_force", "<f8"),  # largest resultant of the compensated force since ENGAGE, seen by the controller, N
         ("command_seq", "<u8"),  # last command accepted
-        ("client", "<u8"),  # client of the last ENGAGE
+        ("client", "<u8"),  # number of the claim of the last ENGAGE
         ("program", "<u2"),
         ("stop_reason", "<u2"),
         ("robot_mode", "<i2"),  # UR numbering; 7 is running
@@ -101,7 +101,7 @@ STATE = np.dtype(
 COMMAND = np.dtype(
     [
         *_HEADER,
-        ("client", "<u8"),  # identity of the sender, drawn at random
+        ("client", "<u8"),  # word of the sender's claim
         ("epoch", "<u8"),  # intended world; other worlds ignore the command. STOP is accepted with any epoch
         ("seq", "<u8"),
         ("position", "<f8", 3),  # TARGET

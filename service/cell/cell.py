@@ -16,8 +16,10 @@ from service.cell.admission import Situation, why_not_start
 from service.cell.inference import InferenceKind, InProcessPolicy
 from service.cell.intake import UNBELIEVED, Intake
 from service.cell.journal import Journal
+from service.cell.lateness import Lateness
 from service.cell.orders import Fail
 from service.cell.policy_process import PolicyProcess
+from service.cell.remarks import Remarks
 from service.cell.resetting import Resetting
 from service.cell.runs import Runs, ended_by
 from service.cell.standstill import Standstill
@@ -48,6 +50,8 @@ LINK_FAULTS = frozenset({FaultCode.STALE, FaultCode.LINK, FaultCode.SOURCE, Faul
 JOURNAL_CLOSE_S = 0.5
 UNCONFIRMED = "no standstill was measured in time after the stop: use the robot's own emergency stop."
 TELEMETRY_TICKS = 10
+OVERRUN_S = 0.02
+"""Lateness of one turn of the loop that counts as an overrun."""
 
 _log = structlog.get_logger("service.cell")
 
@@ -82,7 +86,8 @@ class Cell:
         self.journal = Journal(config.cell.state_dir, time_of_day)
         self.runs = Runs(self.journal, driver)
         self.degradations: Sequence[str] = ()
-        self.telemetry_dropped = self.overruns = 0
+        self.telemetry_dropped = 0
+        self.lateness = Lateness(OVERRUN_S)
         self.unlinked = asyncio.Event()
         self.unlinked.set()
         opener = (
@@ -95,6 +100,7 @@ class Cell:
         self._starting = Starting(config, driver, opener, self.journal, self.runs, self._intake, self)
         self._resetting = Resetting(config.limits, driver, self.journal, self._intake, self)
         self._states = StateMachine(CellState.OFFLINE if self.journal.latch is None else CellState.LATCHED)
+        self._remarks = Remarks(lambda text: self.journal.tell(EventKind.WARNING, self.state, text), driver.clock)
         self._link_text = "not connected yet"
         self._status_seq = 0
         self._client_heard_at = 0.0
@@ -122,6 +128,10 @@ class Cell:
         """Halt: the driver does not trust its link."""
         if not self._starting.preparing or code is not FaultCode.STALE:
             self.halt(code, text)
+
+    def on_notice(self, text: str) -> None:
+        """Write a line about something that had no effect: a refused command, say. A flood is thinned out."""
+        self._remarks.note(text)
 
     def _take(self, sample: Sample) -> None:
         if self._starting.preparing:
@@ -303,7 +313,7 @@ class Cell:
             recipes=tuple(config.recipes),
             force_ceiling_n=self._intake.force_ceiling_n,
             degradations=(*self.degradations, *self._impaired()),
-            counters=self._intake.counters(self.driver.samples_dropped, self.telemetry_dropped, self.overruns),
+            counters=self._intake.counters(self.driver.samples_dropped, self.telemetry_dropped, self.lateness),
         )
 
     async def close(self) -> None:

@@ -90,6 +90,10 @@ class SampleSink(Protocol):
         """Take note that the link is broken or not trustworthy. Samples may or may not continue."""
         ...
 
+    def on_notice(self, text: str) -> None:
+        """Take note of something that had no effect: commands of others that the arm refused, say."""
+        ...
+
 
 class Driver(Protocol):
     """One arm, real or simulated."""

@@ -73,11 +73,12 @@ class CommandWriter:
 
     Attributes:
         epoch: epoch of the addressed world; set on connecting.
+        client: word of the claim on that world; set on connecting.
     """
 
     def __init__(self) -> None:
         self.epoch = 0
-        self._client = secrets.randbits(63)
+        self.client = secrets.randbits(63)
         self._seq = 0
 
     def engage(self, law: ComplianceLaw, limits: ControlLimits) -> RecordArray:
@@ -111,5 +112,5 @@ class CommandWriter:
         self._seq += 1
         record = records.new(records.COMMAND, kind)
         row = record[0]
-        row["client"], row["epoch"], row["seq"] = self._client, self.epoch, self._seq
+        row["client"], row["epoch"], row["seq"] = self.client, self.epoch, self._seq
         return record

@@ -1,6 +1,7 @@
 """A control process on the wire (real Zenoh, real messages) that does what a test tells it, and a server before it."""
 
 import asyncio
+import json
 import socket
 import threading
 import time
@@ -19,6 +20,7 @@ from api.connections import Connection
 from api.runtime import Runtime
 from service import messages
 from service.config import CellConfig, load
+from service.envelope import QUERY_TICKET, TicketResult
 from service.faults import FaultCode
 from service.messages import (
     CellState,
@@ -149,6 +151,7 @@ class WireCell:
         answers: dict[str, Callable[[bytes], Message | None]] = {
             messages.STOP: self._stop,
             messages.RESET: self._reset,
+            QUERY_TICKET: lambda _payload: TicketResult(ticket="0" * 32, service_epoch=self.epoch),
             messages.QUERY_STATUS: lambda _payload: StatusResult(status=self.status()),
             messages.QUERY_RUNS: self._list,
             messages.QUERY_RUN: self._find,
@@ -242,7 +245,7 @@ class WireCell:
             self.runs[-1] = self.run
 
     def _start(self, payload: bytes) -> Message | None:
-        request = StartRequest.model_validate_json(payload)
+        request = StartRequest.model_validate(json.loads(payload)["request"])
         if self.deaf_to_starts:
             return None
         with self._lock:
@@ -271,7 +274,7 @@ class WireCell:
 
     def _stop(self, payload: bytes) -> Message:
         with self._lock:
-            request = StopRequest.model_validate_json(payload)
+            request = StopRequest.model_validate(json.loads(payload)["request"])
             self.stops.append(request.reason)
             self.stopped_by.append(request.requested_by)
             if self.state is CellState.RUNNING:
@@ -284,7 +287,7 @@ class WireCell:
             return answer
 
     def _reset(self, payload: bytes) -> Message:
-        request = ResetRequest.model_validate_json(payload)
+        request = ResetRequest.model_validate(json.loads(payload)["request"])
         with self._lock:
             self.resets.append(request)
             if self.latch is None:
