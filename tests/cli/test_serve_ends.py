@@ -8,7 +8,7 @@ import sqlite3
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import httpx
@@ -21,7 +21,7 @@ from tests.api.wire_cell import free_port
 from tests.service.sim_server import sim_process
 from tests.test_end_to_end import RECIPE, config_path
 from wire import keys, records
-from wire.session import close_session, open_session
+from wire.session import open_session
 
 __all__ = ["config_path"]
 
@@ -138,11 +138,15 @@ def test_48_sigterm_with_streams_open_stops_the_arm_and_exits_in_two_seconds(con
         state = records.decode(sample.payload.to_bytes(), records.STATE)[0]
         speeds.append(float(abs(state["qd"]).max()))
 
-    with sim_process(endpoint[1]), serving(config_path) as served:
-        session = open_session(connect=[endpoint[1]])
+    with (
+        sim_process(endpoint[1]),
+        serving(config_path) as served,
+        closing(open_session(connect=[endpoint[1]])) as session,
+    ):
         session.declare_subscriber(keys.STATE.format(world="world-1"), on_state)
         served.wait(lambda: served.is_in("READY"))
-        run = served.http.post("/start", json={"recipe": RECIPE, "seed": 7}).json()
+        started = served.http.post("/start", json={"recipe": RECIPE, "seed": 7})
+        assert started.status_code == 202, started.text
         with socket.create_connection(("127.0.0.1", served.port)) as unread:
             unread.sendall(b"GET /events?frames=true HTTP/1.1\r\nHost: localhost\r\n\r\n")
             with served.http.stream("GET", "/events") as events:
@@ -156,6 +160,5 @@ def test_48_sigterm_with_streams_open_stops_the_arm_and_exits_in_two_seconds(con
         assert took_s < EXIT_S
         assert max(speeds[-50:]) < 1e-3, "the arm stands in a world that goes on"
         ledger = (config_path.parent / "state" / "ledger.jsonl").read_text()
-        assert f'"{run["id"]}"' in ledger
+        assert f'"{started.json()["id"]}"' in ledger
         assert '"INTERRUPTED"' in ledger
-        close_session(session)
