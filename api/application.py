@@ -113,8 +113,9 @@ def create_app(config: CellConfig, path: Path) -> Protection:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
-        endpoint = [config.cell.endpoint]
-        client, stopper = CellClient(config.cell.id, endpoint), CellClient(config.cell.id, endpoint)
+        cell_id, endpoint, certificates = config.cell.id, [config.cell.endpoint], config.certificates
+        client = CellClient(cell_id, endpoint, certificates=certificates)
+        stopper = CellClient(cell_id, endpoint, certificates=certificates)
         history = RunHistory(database)
         cell = FollowedCell(client, stopper, history)
         control_process = ControlProcess(config, path)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 MAGIC = 0x4C534444  # "DDSL" in the byte order of the wire
-VERSION = 1
+VERSION = 2
 TICK_S = 0.002
 """Period of the cell's control law and its state messages: the 500 Hz of a UR e-Series controller."""
 
@@ -35,6 +35,8 @@ class Kind(IntEnum):
     UNLOCK = 6
     """Leave the protective stop; an operator's action."""
     CAMERA = 7
+    STOP_BLIND = 8
+    """As STOP, without yielding to the force/torque sensor meanwhile: its reading is not believed."""
 
 
 class Program(IntEnum):
@@ -94,6 +96,8 @@ STATE = np.dtype(
         ("safety_mode", "<i2"),  # UR numbering; 1 normal, 3 protective stop
         ("saturated", "<u2"),  # 1 if a raw channel is at the end of the sensor's range
         ("reserved", "V6"),
+        ("unzeroed", "<f8", 6),  # as wrench, but without any zero: the raw reading less the payload's weight
+        ("joint_force", "<f8", 3),  # force on the tool as the joints' drives feel it, base axes, N; coarse
     ],
     align=False,
 )

@@ -47,6 +47,8 @@ from service.safety.stop import StopState
 
 LINK_FAULTS = frozenset({FaultCode.STALE, FaultCode.LINK, FaultCode.SOURCE, FaultCode.PROTOCOL})
 """Faults of the link to the arm: while nothing runs they mean OFFLINE and another attempt, not a latch."""
+DISBELIEVED = frozenset({FaultCode.SENSOR_INVALID, FaultCode.SENSOR_STUCK, FaultCode.BIAS})
+"""Faults after which the arm must not yield to its force/torque sensor while it stops."""
 JOURNAL_CLOSE_S = 0.5
 UNCONFIRMED = "no standstill was measured in time after the stop: use the robot's own emergency stop."
 TELEMETRY_TICKS = 10
@@ -171,7 +173,7 @@ class Cell:
         """Stop at once and latch, if there is anything to stop. A later fault does not replace the first."""
         state = self.state
         if state in WITH_RUN or state is CellState.READY:
-            self.driver.stop()
+            (self.driver.stop_blind if code in DISBELIEVED else self.driver.stop)()
         if state in WITH_RUN or (state is CellState.READY and code not in LINK_FAULTS):
             self._begin_stop(code, text)
         elif code in LINK_FAULTS:

@@ -9,8 +9,13 @@ from service.policy.contract import PolicyContract
 from service.policy.step import PolicyStep, command_bounds
 from service.safety.monitor import MonitorParameters
 from service.safety.preflight import PreflightParameters
+from service.safety.witness import WitnessParameters
 from wire.arrays import FloatArray
+from wire.impact import fastest_m_s, reached_m_s
 from wire.law import ComplianceLaw, ControlLimits
+
+APPROACH_SPEED_M_S = 0.08
+"""Speed of the scripted moves where the recipe names none and the part bears it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +39,7 @@ class Plan:
         law: compliance while engaged.
         limits: limits that the arm's own controller enforces.
         preflight: requirements on sensor and pose before the arm moves.
+        witness: agreement of the sensor with the arm's joints, where the arm gives their forces.
         step: the policy step, with its lock and its bounds.
     """
 
@@ -53,6 +59,7 @@ class Plan:
     law: ComplianceLaw
     limits: ControlLimits
     preflight: PreflightParameters
+    witness: WitnessParameters
     step: PolicyStep
 
     def why_not_hole(self, estimate: FloatArray) -> str | None:
@@ -92,7 +99,7 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         max_hole_offset=np.array(limits.max_hole_offset_m),
         uses_estimate=contract.uses_estimate,
         hover_m=recipe.hover_m,
-        approach_speed_m_s=recipe.approach_speed_m_s,
+        approach_speed_m_s=approach_speed_m_s(recipe, limits, contract.compliance),
         max_steps=contract.max_steps if recipe.max_steps is None else min(recipe.max_steps, contract.max_steps),
         tick_s=contract.tick_s,
         success_depth_m=recipe.success_depth_m,
@@ -102,8 +109,18 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         law=contract.compliance,
         limits=control,
         preflight=PreflightParameters(**config.preflight.model_dump()),
+        witness=WitnessParameters(**config.witness.model_dump()),
         step=PolicyStep(contract, bounds),
     )
+
+
+def approach_speed_m_s(recipe: RecipeSection, limits: LimitsSection, law: ComplianceLaw) -> float:
+    """Return the speed of the scripted moves: the recipe's, else the fastest whose blow the part bears, m/s."""
+    if recipe.approach_speed_m_s is not None:
+        return recipe.approach_speed_m_s
+    usual = min(APPROACH_SPEED_M_S, limits.max_speed_m_s)
+    fastest = fastest_m_s(recipe.bears_n(limits.force_ceiling_n), max(law.inertia[:3]), limits.contact_n_m)
+    return usual if reached_m_s(usual, limits.max_step_m, law) <= fastest else min(usual, fastest)
 
 
 def plan_monitor(limits: LimitsSection, force_ceiling_n: float) -> MonitorParameters:
@@ -112,6 +129,7 @@ def plan_monitor(limits: LimitsSection, force_ceiling_n: float) -> MonitorParame
         force_ceiling_n=force_ceiling_n,
         torque_ceiling_nm=limits.torque_ceiling_nm,
         stuck_samples=limits.stuck_samples,
+        stuck_channel_samples=limits.stuck_channel_samples,
         max_age_s=limits.sample_age_s,
         max_gap_s=limits.sample_age_s,
     )

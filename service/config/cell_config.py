@@ -5,11 +5,28 @@ from typing import Annotated, Self, assert_never
 from pydantic import Field, model_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
-from service.config.checks import recipes_beyond_limits, within_limits, within_preflight, without_robot
+from service.config.checks import (
+    between_limits_and_preflight,
+    beyond_arm,
+    recipes_beyond_limits,
+    within_limits,
+    within_preflight,
+    without_robot,
+)
+from service.config.exposure import unprotected
 from service.config.fields import Name
-from service.config.limits import LimitsSection, PreflightSection
-from service.config.sections import ApiSection, CameraSection, CellSection, ClientLossSection, RecipeSection, SimSection
+from service.config.limits import LimitsSection, PreflightSection, WitnessSection
+from service.config.sections import (
+    ApiSection,
+    CameraSection,
+    CellSection,
+    ClientLossSection,
+    RecipeSection,
+    SimSection,
+    TlsSection,
+)
 from service.config.ur import UrSection
+from wire.tls import Certificates
 
 
 class CellConfig(BaseSettings):
@@ -22,9 +39,11 @@ class CellConfig(BaseSettings):
     cell: CellSection
     limits: LimitsSection
     preflight: PreflightSection = PreflightSection()
+    witness: WitnessSection = WitnessSection()
     sim: SimSection = SimSection()
     ur: UrSection | None = None
     camera: CameraSection | None = None
+    tls: TlsSection | None = None
     api: ApiSection = ApiSection()
     client_loss: ClientLossSection = ClientLossSection()
     recipes: Annotated[dict[Name, RecipeSection], Field(min_length=1)]
@@ -34,12 +53,21 @@ class CellConfig(BaseSettings):
         contradictions = (
             *within_limits(self.limits),
             *within_preflight(self.preflight),
+            *between_limits_and_preflight(self.limits, self.preflight),
             *recipes_beyond_limits(self.recipes, self.limits),
             *without_robot(self.cell, self.ur),
+            *(() if self.ur is None else beyond_arm(self.ur, self.recipes, self.limits)),
+            *unprotected(self.cell, self.sim, self.camera, self.tls),
         )
         if contradictions:
             raise ValueError("; ".join(contradictions))
         return self
+
+    @property
+    def certificates(self) -> Certificates | None:
+        """Certificates of this process; None without `[tls]`."""
+        tls = self.tls
+        return None if tls is None else Certificates(tls.authority, tls.certificate, tls.key)
 
     @property
     def sees_hole(self) -> bool:

@@ -42,6 +42,9 @@ def read_sample(record: RecordArray, arrival_s: float) -> Sample:
         tcp_rotvec=row["tcp_rotvec"].copy(),
         tcp_velocity=row["tcp_velocity"].copy(),
         wrench=row["wrench"].copy(),
+        unzeroed=row["unzeroed"].copy(),
+        ft_raw=row["ft_raw"].copy(),
+        joint_force=row["joint_force"].copy(),
         saturated=bool(row["saturated"]),
         hole_estimate=estimate if bool(np.isfinite(estimate).all()) else None,
         program=program,
@@ -94,8 +97,8 @@ class CommandWriter:
         record[0]["position"], record[0]["rotvec"] = target.position, target.rotvec
         return record
 
-    def stop(self) -> RecordArray:
-        return self._new(records.Kind.STOP)
+    def stop(self, *, blind: bool = False) -> RecordArray:
+        return self._new(records.Kind.STOP_BLIND if blind else records.Kind.STOP)
 
     def zero_ft(self) -> RecordArray:
         return self._new(records.Kind.ZERO_FT)

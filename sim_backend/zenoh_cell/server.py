@@ -137,7 +137,7 @@ class Server:
                 self.counters.commands_malformed += 1
                 continue
             for command in commands:
-                if command["kind"] == records.Kind.STOP:
+                if command["kind"] in (records.Kind.STOP, records.Kind.STOP_BLIND):
                     self.counters.commands_dropped += len(others)
                     others.clear()
                     stops.append(command)
