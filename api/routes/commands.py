@@ -9,6 +9,7 @@ from fastapi import APIRouter, Header, Request, Response
 from api.history import HistoryError
 from api.models import ResetBody, StartBody, StopAnswer
 from api.problems import SILENT_TEXT, ProblemError, described
+from api.receipt import Receipt
 from api.runtime import RuntimeDependency, runtime_of
 from api.stop_rule import OPERATOR_LENGTH, asked_by
 from service.client import CellSilentError
@@ -23,6 +24,7 @@ NOT_CONFIRMED_TEXT = (
     "If the robot moves, use the robot's own emergency stop."
 )
 STOP_SILENT_TEXT = f"NOT CONFIRMED: the stop was not delivered. {SILENT_TEXT}"
+STOPPED_TEXT = "A stop came after this start had been received: look at the cell, then start again."
 
 
 @router.post(
@@ -35,6 +37,7 @@ STOP_SILENT_TEXT = f"NOT CONFIRMED: the stop was not delivered. {SILENT_TEXT}"
 )
 async def start(
     body: StartBody,
+    request: Request,
     response: Response,
     runtime: RuntimeDependency,
     idempotency_key: Annotated[
@@ -51,6 +54,8 @@ async def start(
 ) -> Run:
     """Answer 202 with the run once the cell has accepted it, or 409 with the fault's code if its state forbids a start.
 
+    A stop that comes before the answer wins: the start is refused with `STOPPED`, or its run is stopped.
+
     The run continues on its own: follow it with `GET /runs/{id}`, `GET /status` or `GET /events`.
     """
     if runtime.cell.is_silent:
@@ -59,11 +64,20 @@ async def start(
         await runtime.cell.history.check()
     except HistoryError as error:
         raise ProblemError(503, "STORAGE", str(error)) from error
-    request = StartRequest(
-        recipe=body.recipe, seed=body.seed, idempotency_key=idempotency_key, requested_by=body.operator or "api"
+    receipt: Receipt = request.state.receipt
+    if await request.is_disconnected():
+        raise ProblemError(503, "EXPIRED", "The client gave up before the start was sent to the control process.")
+    if receipt.stops_asked != runtime.cell.stops_asked:
+        raise ProblemError(409, "STOPPED", STOPPED_TEXT)
+    start_request = StartRequest(
+        recipe=body.recipe,
+        seed=body.seed,
+        idempotency_key=idempotency_key,
+        requested_by=body.operator or "api",
+        after=receipt.mark,
     )
     try:
-        result = await runtime.unless_closing(runtime.cell.client.start(request))
+        result = await runtime.unless_closing(runtime.cell.client.start(start_request))
     except CellSilentError as error:
         raise ProblemError(
             503,
@@ -117,6 +131,7 @@ async def stop(request: Request, response: Response) -> StopAnswer:
     certified safety function.
     """
     runtime = runtime_of(request)
+    runtime.cell.stops_asked += 1
     stopper, loop = runtime.cell.stopper, asyncio.get_running_loop()
     deadline = loop.time() + WITHIN_S
     asked = StopRequest(reason="stop over HTTP", requested_by=asked_by(request.scope))
@@ -127,6 +142,7 @@ async def stop(request: Request, response: Response) -> StopAnswer:
         raise ProblemError(
             503, "STOP_NOT_DELIVERED", STOP_SILENT_TEXT, state=CellState.UNKNOWN, confirmed=False
         ) from error
+    runtime.cell.client.heed(told)
     stopped = await confirm(stopper, told, deadline - loop.time())
     status = stopped.status
     _log.warning("stop", confirmed=stopped.confirmed, state=status.state.value, asked_by=asked.requested_by)

@@ -13,6 +13,7 @@ import structlog
 
 from service.cell import report
 from service.cell.admission import Situation, why_not_start
+from service.cell.idle_arm import IdleArm
 from service.cell.inference import InferenceKind, InProcessPolicy
 from service.cell.intake import UNBELIEVED, Intake
 from service.cell.journal import Journal
@@ -21,7 +22,7 @@ from service.cell.orders import Fail
 from service.cell.policy_process import PolicyProcess
 from service.cell.remarks import Remarks
 from service.cell.resetting import Resetting
-from service.cell.runs import Runs, ended_by
+from service.cell.runs import Runs
 from service.cell.standstill import Standstill
 from service.cell.starting import Starting
 from service.cell.states import WITH_RUN, StateMachine
@@ -41,6 +42,7 @@ from service.messages import (
     StartRequest,
     Status,
     StatusResult,
+    StopMark,
     StopRequest,
 )
 from service.safety.stop import StopState
@@ -66,7 +68,8 @@ class Cell:
         driver: not connected yet; `watch.keep_linked` connects it.
         inference: how runs get their inference from policies in this process; None: each policy has a process of its
             own, which can be killed.
-        time_of_day: seconds since the Unix epoch, for stamps only; decisions use the driver's clock.
+        time_of_day: seconds since the Unix epoch, for stamps only; decisions about the arm use the driver's clock.
+        clock: monotonic seconds of this process, for the validity of requests and the length of runs.
 
     Attributes:
         unlinked: set while the link to the arm is down or not believed.
@@ -82,10 +85,11 @@ class Cell:
         *,
         inference: InferenceKind | None = None,
         time_of_day: Callable[[], float] = time.time,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.config = config
         self.driver = driver
-        self.journal = Journal(config.cell.state_dir, time_of_day)
+        self.journal = Journal(config.cell.state_dir, time_of_day, clock)
         self.runs = Runs(self.journal, driver)
         self.degradations: Sequence[str] = ()
         self.telemetry_dropped = 0
@@ -99,12 +103,13 @@ class Cell:
         )
         self._intake = Intake(config.limits, driver.clock)
         self._standstill = Standstill(driver, config.limits.stop_confirm_s)
+        self._idle_arm = IdleArm(config.limits.stop_confirm_s)
         self._starting = Starting(config, driver, opener, self.journal, self.runs, self._intake, self)
         self._resetting = Resetting(config.limits, driver, self.journal, self._intake, self)
         self._states = StateMachine(CellState.OFFLINE if self.journal.latch is None else CellState.LATCHED)
         self._remarks = Remarks(lambda text: self.journal.tell(EventKind.WARNING, self.state, text), driver.clock)
         self._link_text = "not connected yet"
-        self._status_seq = 0
+        self._status_seq = self._stops = 0
         self._client_heard_at = 0.0
 
     @property
@@ -114,6 +119,11 @@ class Cell:
     @property
     def newest_sample(self) -> Sample | None:
         return self._intake.sample
+
+    @property
+    def mark(self) -> StopMark:
+        """Place in the order of stops. May be read on any thread."""
+        return StopMark(service_epoch=self.journal.epoch, stops=self._stops)
 
     # --- from the driver
 
@@ -157,6 +167,7 @@ class Cell:
             self.runs.active.on_sample(sample)
         else:
             self._standstill.repeat_stop(sample)  # no run drives the arm
+            self._mind_idle_arm(sample)
         if self._intake.accepted % TELEMETRY_TICKS == 0:
             self._send_telemetry(sample)
 
@@ -167,6 +178,15 @@ class Cell:
             self.halt(verdict.fault, verdict.text)
         self._conclude(self._standstill.on_sample(sample))
 
+    def _mind_idle_arm(self, sample: Sample) -> None:
+        notice = self._idle_arm.observe(sample)
+        if notice is None:
+            return
+        if notice.driven and self.state is CellState.READY:
+            self.halt(FaultCode.AUTHORITY, notice.text)
+        else:
+            self.on_notice(notice.text)
+
     # --- stopping
 
     def halt(self, code: FaultCode, text: str) -> None:
@@ -174,15 +194,18 @@ class Cell:
         state = self.state
         if state in WITH_RUN or state is CellState.READY:
             (self.driver.stop_blind if code in DISBELIEVED else self.driver.stop)()
+        elif state is CellState.STOPPING and code in DISBELIEVED:
+            self._standstill.disbelieve()
         if state in WITH_RUN or (state is CellState.READY and code not in LINK_FAULTS):
             self._begin_stop(code, text)
         elif code in LINK_FAULTS:
             self.lose_link(text)
 
     def _begin_stop(self, code: FaultCode, text: str) -> None:
+        self._stops += 1
         self._states.to(CellState.STOPPING)
-        self._standstill.begin()
-        state = ended_by(code)
+        self._standstill.begin(self.runs.witness, blind=code in DISBELIEVED)
+        state = RunState.ended_by(code)
         run_id, peak_n = self.runs.active_id, self._intake.peak_force_n
         # Before the run's end: a process that dies between the two writes must come back latched
         self.journal.set_latch(code, text, run_id, None if run_id is None else peak_n)
@@ -196,7 +219,7 @@ class Cell:
     def disengage(self) -> None:
         """End a run in the ordinary way: stop the arm, and become READY once standstill is measured."""
         self.driver.stop()
-        self._standstill.begin()
+        self._standstill.begin(self.runs.witness)
 
     def _conclude(self, stop: StopState) -> None:
         if stop is StopState.WAITING:
@@ -229,7 +252,7 @@ class Cell:
         now = self.driver.clock()
         if self._standstill.awaited:
             if self.state is CellState.STOPPING:
-                self.driver.stop()
+                self._standstill.stop()
             self._conclude(self._standstill.on_silence(now))
         if self._starting.preparing or (self.unlinked.is_set() and self.state not in WITH_RUN):
             return
@@ -256,6 +279,7 @@ class Cell:
             self.halt(FaultCode.LINK, "the link to the arm was made anew under a run")
             return
         self._intake.renew()
+        self._idle_arm.forget()
         self._link_text = "connected, no sample yet"
         self.unlinked.clear()
         if self.state is CellState.OFFLINE:
@@ -276,12 +300,18 @@ class Cell:
     # --- requests
 
     async def start(self, request: StartRequest) -> RunResult | Refused:
-        """Accept a run, or say why not. The answer comes once the run is on the disk, before anything moves."""
+        """Accept a run, or say why not. The answer comes once the run is on the disk, before anything moves.
+
+        A request without a mark was received now: a stop from here on refuses it.
+        """
+        if request.after is None:
+            request = request.model_copy(update={"after": self.mark})
         return await self._starting.start(request)
 
     def stop(self, request: StopRequest) -> StatusResult:
-        """Stop whatever moves, in every state; latch if a run is under way."""
+        """Stop whatever moves, in every state; latch if a run is under way. No start received before survives it."""
         self.driver.stop()
+        self._stops += 1
         if self.state in WITH_RUN:
             by = f" by {request.requested_by}" if request.requested_by else ""
             why = f": {request.reason}" if request.reason else ""
@@ -304,6 +334,8 @@ class Cell:
             service_epoch=self.journal.epoch,
             seq=self._status_seq,
             time=self.journal.time_of_day(),
+            clock_s=self.journal.clock(),
+            stops=self._stops,
             state=self.state,
             can_start=blocked is None,
             why_not=None if blocked is None else blocked.detail,
@@ -320,6 +352,7 @@ class Cell:
 
     async def close(self) -> None:
         """Stop, wait for standstill as long as a stop may take, and release everything."""
+        self._stops += 1
         if self.state in WITH_RUN:
             self.halt(FaultCode.INTERRUPTED, "the control process was told to end")
         self.driver.stop()
@@ -347,6 +380,9 @@ class Cell:
             force_n=intake.force_n,
             force_ceiling_n=intake.force_ceiling_n,
             resetting=self._resetting.under_way,
+            starting=self._starting.deciding,
+            mark=self.mark,
+            clock_s=self.journal.clock(),
         )
 
     def enter(self, state: CellState) -> None:
@@ -357,6 +393,7 @@ class Cell:
     def enter_world(self, force_ceiling_n: float) -> None:
         """Expect samples of the prepared world, under this force ceiling."""
         self._intake.renew(force_ceiling_n)
+        self._idle_arm.forget()
         if self.state is CellState.STOPPING:
             self._standstill.begin()
 
