@@ -1,0 +1,233 @@
+"""Puts the virtual clock, network and disk under the real code while a universe lasts: every seam stands here."""
+
+import os
+import random
+import secrets
+import time
+import uuid
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import aiosqlite.core
+import fastapi.dependencies.utils
+import fastapi.routing
+import structlog
+
+import api.application
+import service.cell.cell
+import service.cell.journal.storage
+import service.cell.process
+import service.cell.starting
+import service.client
+import service.drivers.zenoh_sim
+import sim_backend.zenoh_cell.server
+from service.cell.policies import PolicyRefusedError
+from service.config import CellConfig
+from service.policy.model import Policy, PolicyError
+from sim_backend.metronome import Metronome
+from tests.simulation import clock, threads
+from tests.simulation.disk import Disk
+from tests.simulation.network import Network, close_session
+from wire.arrays import Float32Array
+
+Change = tuple[Any, str, Any]
+WALL_S = 1.79e9
+
+
+class Host:
+    """The host of all processes: its clocks and its chance.
+
+    Attributes:
+        wall_step_s: by how much the wall clock was set.
+    """
+
+    def __init__(self, loop: clock.VirtualLoop, network: Network, disk: Disk, chance: random.Random) -> None:
+        self.loop, self.network, self.disk, self.chance = loop, network, disk, chance
+        self.wall_step_s = 0.0
+        self.database_busy_until = 0.0
+        self.database_latency_s = (1e-4, 2e-3)
+        self.inference_latency_s = (1e-3, 8e-3)
+        self.inference_hangs_until = 0.0
+        self.admission_latency_s = (1e-4, 5e-3)
+        self.locks: dict[Path, clock.Process] = {}
+        self.databases: list[aiosqlite.core.Connection] = []
+
+    def monotonic(self) -> float:
+        return self.loop.time()
+
+    def time_of_day(self) -> float:
+        return WALL_S + self.loop.time() + self.wall_step_s
+
+    def between(self, bounds: tuple[float, float]) -> float:
+        return bounds[0] + (bounds[1] - bounds[0]) * self.chance.random()
+
+
+class Inference:
+    """An `InferenceKind` on the virtual clock: the real policy, answered after a while."""
+
+    def __init__(
+        self,
+        host: Host,
+        policy: Policy,
+        on_action: Callable[[Float32Array], None],
+        on_failure: Callable[[Exception], None],
+    ) -> None:
+        self._host, self._policy, self._on_action, self._on_failure = host, policy, on_action, on_failure
+        self._hidden = policy.initial_hidden()
+        self._closed = False
+
+    def ask(self, observation: Float32Array) -> None:
+        host = self._host
+        latency_s = max(host.between(host.inference_latency_s), host.inference_hangs_until - host.loop.time())
+        host.loop.call_later(latency_s, self._answer, observation)
+
+    def close(self) -> None:
+        self._closed = True
+
+    def _answer(self, observation: Float32Array) -> None:
+        if self._closed:
+            return
+        try:
+            action, self._hidden = self._policy.act(observation, self._hidden)
+        except PolicyError as error:
+            self._on_failure(error)
+        else:
+            self._on_action(action)
+
+
+_LOADED: dict[Path, Policy] = {}
+
+
+class Shelf:
+    """Stands in for `PolicyShelf`: policies that are loaded once for all universes."""
+
+    def __init__(self, host: Host, config: CellConfig, *_: Any, **__: Any) -> None:
+        self._host, self._config = host, config
+
+    def admit(self, recipe: str) -> Policy:
+        clock.sleep(self._host.between(self._host.admission_latency_s))
+        path = self._config.recipes[recipe].policy
+        if path not in _LOADED:
+            try:
+                _LOADED[path] = Policy.load(path)
+            except PolicyError as error:
+                raise PolicyRefusedError(str(error)) from error
+        return _LOADED[path]
+
+
+def _database_queue(host: Host) -> type[threads.SimpleQueue]:
+    class DatabaseQueue(threads.SimpleQueue):
+        def get(self, block: bool = True, timeout: float | None = None) -> Any:
+            job = super().get(block, timeout)
+            clock.sleep(max(host.between(host.database_latency_s), host.database_busy_until - host.loop.time()))
+            return job
+
+    return DatabaseQueue
+
+
+def _database_connection(host: Host) -> type[aiosqlite.core.Connection]:
+    class DatabaseConnection(aiosqlite.core.Connection):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            super().__init__(*args, **kwargs)
+            host.databases.append(self)
+
+        def __del__(self) -> None: ...
+
+    return DatabaseConnection
+
+
+async def _at_once(function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+    return function(*args, **kwargs)
+
+
+@contextmanager
+def _alone(host: Host, state_dir: Path) -> Generator[None]:
+    process = clock.here().process
+    state_dir.mkdir(parents=True, exist_ok=True)
+    holder = host.locks.get(state_dir)
+    if holder is not None and holder.alive:
+        raise OSError(f"another control process uses {state_dir}")
+    host.locks[state_dir] = process
+    try:
+        yield
+    finally:
+        if host.locks.get(state_dir) is process:
+            del host.locks[state_dir]
+
+
+def _metronome(host: Host, dozed_ticks: Callable[[], int]) -> Callable[..., Metronome]:
+    class Beat(Metronome):
+        def wait(self) -> None:
+            dozed_s = dozed_ticks() * self._period_s
+            if dozed_s:
+                self._due_s += dozed_s
+            super().wait()
+
+    return partial(Beat, clock=host.monotonic, sleep=clock.sleep)
+
+
+def changes(host: Host, dozed_ticks: Callable[[], int]) -> list[Change]:
+    """Everything that is put under the real code, as (owner, name, substitute).
+
+    Args:
+        host: of all processes.
+        dozed_ticks: ticks that the world leaves out at this moment.
+    """
+    network, chance = host.network, host.chance
+    kind = partial(Inference, host)
+    signals = SimpleNamespace(SIGINT=2, SIGTERM=15, Signals=int, getsignal=lambda number: None, signal=lambda *_: None)
+    server = sim_backend.zenoh_cell.server
+    process = service.cell.process
+    return [
+        (time, "time", host.time_of_day),
+        (time, "monotonic", host.monotonic),
+        (time, "sleep", clock.sleep),
+        (os, "fsync", host.disk.fsync),
+        (secrets, "token_hex", lambda size=16: f"{chance.getrandbits(8 * size):0{2 * size}x}"),
+        (secrets, "randbelow", chance.randrange),
+        (secrets, "randbits", chance.getrandbits),
+        (uuid, "uuid4", lambda: uuid.UUID(int=chance.getrandbits(128))),
+        (fastapi.dependencies.utils, "run_in_threadpool", _at_once),
+        (fastapi.routing, "run_in_threadpool", _at_once),
+        (aiosqlite.core, "Connection", _database_connection(host)),
+        (aiosqlite.core, "Thread", clock.Thread),
+        (aiosqlite.core, "SimpleQueue", _database_queue(host)),
+        (service.cell.journal.storage, "threading", threads.THREADING),
+        (service.cell.journal.storage, "queue", threads.QUEUE),
+        (service.client, "open_session", network.open),
+        (service.client, "close_session", close_session),
+        (service.drivers.zenoh_sim, "open_session", network.open),
+        (service.drivers.zenoh_sim, "close_session", close_session),
+        (process, "open_session", network.open),
+        (process, "close_session", close_session),
+        (process, "Cell", partial(service.cell.cell.Cell, inference=kind)),
+        (process, "alone", partial(_alone, host)),
+        (process, "request_realtime", tuple),
+        (process, "freeze_garbage", lambda: None),
+        (service.cell.starting, "PolicyShelf", partial(Shelf, host)),
+        (api.application, "CellClient", partial(service.client.CellClient, clock=host.monotonic, time_of_day=host.time_of_day)),
+        (api.application, "FollowedCell", partial(api.application.FollowedCell, clock=host.monotonic)),
+        (api.application, "signal", signals),
+        (server, "Metronome", _metronome(host, dozed_ticks)),
+        (server, "has_realtime_scheduling", lambda: False),
+        (server, "freeze_garbage", lambda: None),
+    ]
+
+
+@contextmanager
+def substituted(found: list[Change]) -> Generator[None]:
+    """Put the substitutes in, and the originals back at the end."""
+    originals = [(owner, name, getattr(owner, name)) for owner, name, _ in found]
+    logging = structlog.get_config()
+    try:
+        for owner, name, substitute in found:
+            setattr(owner, name, substitute)
+        yield
+    finally:
+        for owner, name, original in reversed(originals):
+            setattr(owner, name, original)
+        structlog.configure(**logging)
