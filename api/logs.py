@@ -1,13 +1,16 @@
 """JSON log lines, one per event, for this package and the web server."""
 
 import logging
-import sys
 
 import structlog
+
+from service.logs import QueuedHandler, hold_exception, log_writer
 
 
 def configure_logs(level: str = "INFO") -> None:
     """Send structlog and the standard library's loggers through one JSON formatter to standard error.
+
+    The lines are formatted and written by a thread: logging neither blocks the server nor fails.
 
     uvicorn configures its loggers before it loads the application; their handlers are replaced here. Its access log is
     silenced: `api.protection` writes one line per request, with the request's id.
@@ -17,7 +20,7 @@ def configure_logs(level: str = "INFO") -> None:
         structlog.stdlib.add_logger_name,
         structlog.stdlib.add_log_level,
         structlog.processors.TimeStamper(fmt="iso", utc=True),
-        structlog.processors.format_exc_info,
+        hold_exception,
     ]
     structlog.configure(
         processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
@@ -25,12 +28,13 @@ def configure_logs(level: str = "INFO") -> None:
         wrapper_class=structlog.stdlib.BoundLogger,
         cache_logger_on_first_use=False,
     )
-    handler = logging.StreamHandler(sys.stderr)
+    handler = QueuedHandler(log_writer())
     handler.setFormatter(
         structlog.stdlib.ProcessorFormatter(
             foreign_pre_chain=shared,
             processors=[
                 structlog.stdlib.ProcessorFormatter.remove_processors_meta,
+                structlog.processors.format_exc_info,
                 structlog.processors.JSONRenderer(),
             ],
         )

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import socket
+from contextlib import closing
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -66,16 +67,18 @@ def check(
     except ConfigError as error:
         fail("config check", str(error), Exit.USAGE)
     from service.cell.policies import PolicyRefusedError, PolicyShelf
+    from service.cell.policy_process import PolicyProcess
     from service.commands.drivers import make_driver
 
-    shelf = PolicyShelf(cell, make_driver(cell).tick_s)
+    opener = PolicyProcess.opener(cell.limits.policy_deadline_s, lockstep=False)
     refused = 0
-    for recipe in cell.recipes:
-        try:
-            shelf.admit(recipe)
-        except PolicyRefusedError as error:
-            refused += 1
-            typer.echo(f"recipe {recipe}: {error}", err=True)
+    with closing(PolicyShelf(cell, make_driver(cell).tick_s, opener)) as shelf:
+        for recipe in cell.recipes:
+            try:
+                shelf.admit(recipe)
+            except PolicyRefusedError as error:
+                refused += 1
+                typer.echo(f"recipe {recipe}: {error}", err=True)
     if refused:
         raise typer.Exit(Exit.FAILED)
     typer.echo(f"{path} can be used: cell {cell.cell.id}, driver {cell.cell.driver}, recipes {', '.join(cell.recipes)}")

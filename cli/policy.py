@@ -1,6 +1,8 @@
 """`policy …`: what a policy file is, and whether a cell would run it."""
 
 from collections.abc import Mapping
+from contextlib import closing
+from math import inf
 from pathlib import Path
 from typing import Annotated
 
@@ -11,10 +13,11 @@ from rich.table import Table
 from cli.exits import fail
 from cli.live import plain_console
 from service.cell.policies import PolicyRefusedError, PolicyShelf
+from service.cell.policy_process import PolicyProcess
 from service.commands.configured import ConfigPath, load_cell
 from service.commands.drivers import make_driver
 from service.policy.contract import PolicyContract
-from service.policy.model import Policy, PolicyError
+from service.policy.model import PolicyError
 from wire.exits import Exit
 
 app = typer.Typer(
@@ -32,13 +35,15 @@ def inspect(
 ) -> None:
     """Load a policy as a cell would, and print its contract."""
     try:
-        policy = Policy.load(file)
+        # In a process of its own, as in a cell: a model may hang
+        with closing(PolicyProcess(file, step_limit_s=inf)) as policy:
+            sha256, contract = policy.loaded()
     except PolicyError as error:
         fail("policy inspect", str(error), Exit.USAGE)
     if as_json:
-        typer.echo(policy.contract.to_json())
+        typer.echo(contract.to_json())
     else:
-        plain_console().print(_describe(policy))
+        plain_console().print(_describe(sha256, contract))
 
 
 @app.command()
@@ -54,19 +59,20 @@ def check(
     asked = cell.recipes[recipe].model_copy(update={"policy": file.resolve()})
     try:
         only = cell.model_copy(update={"recipes": {recipe: asked}})
-        policy = PolicyShelf(only, make_driver(cell).tick_s).admit(recipe)
+        opener = PolicyProcess.opener(cell.limits.policy_deadline_s, lockstep=False)
+        with closing(PolicyShelf(only, make_driver(cell).tick_s, opener)) as shelf:
+            policy = shelf.admit(recipe)
     except PolicyRefusedError as error:
         fail("policy check", str(error), Exit.FAILED)
     typer.echo(f"{file} fits recipe {recipe} of {cell.cell.id}; SHA-256 {policy.sha256}")
 
 
-def _describe(policy: Policy) -> Table:
-    contract = policy.contract
+def _describe(sha256: str, contract: PolicyContract) -> Table:
     low, high = (1e3 * clearance for clearance in contract.clearance_m)
     table = Table.grid(padding=(0, 2))
     for name, value in (
         ("name", contract.name),
-        ("SHA-256", policy.sha256),
+        ("SHA-256", sha256),
         ("parts", ", ".join(contract.parts)),
         ("clearance", f"{low:g} to {high:g} mm per face"),
         ("observes", f"{contract.mode}: {', '.join(entry.name for entry in contract.observation)}"),

@@ -38,6 +38,7 @@ def serve(
     from api.application import create_app
     from api.logs import configure_logs
     from service.config import ConfigError, find, load
+    from service.logs import take_over_stderr
 
     try:
         path = find(config)
@@ -48,6 +49,7 @@ def serve(
     except (ConfigError, ValueError) as error:
         fail("serve", str(error), Exit.USAGE)
     configure_logs()
+    take_over_stderr()
     listener = _listen(cell.api.host, cell.api.port)
     typer.echo(f"cell {cell.cell.id}: page on http://{cell.api.host}:{cell.api.port}")
     _end_on_signals()

@@ -64,7 +64,7 @@ class Child:
                 stdout=output,
                 stderr=output,
                 start_new_session=True,
-                preexec_fn=_bound_to(os.getpid()) if dies_with_parent else None,
+                preexec_fn=bound_to(os.getpid()) if dies_with_parent else None,
             )
         return cls(name, process, log)
 
@@ -94,7 +94,7 @@ class Child:
         return f"the {self.name} (pid {self.process.pid}) ended with status {status}{last}"
 
 
-def _bound_to(parent: int) -> Callable[[], None] | None:
+def bound_to(parent: int) -> Callable[[], None] | None:
     """Return what a new process does to be killed when its parent ends; None where the kernel does not offer it."""
     if not sys.platform.startswith("linux"):
         return None

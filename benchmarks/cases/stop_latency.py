@@ -13,6 +13,7 @@ from benchmarks.harness.stopwatch import timed
 from benchmarks.stands.shipped_cell import ShippedCell, shipped_cell
 from benchmarks.stands.tripping_world import FORCE_N, TRIP
 from service.cell.cell import Cell
+from service.cell.inference import InlineInference
 from service.cell.process import attended
 from service.client import CellClient
 from service.messages import CellState, ResetRequest, StartRequest
@@ -67,7 +68,7 @@ def _echo(count: int) -> list[float]:
 
 async def _inside(shipped: ShippedCell, count: int) -> list[float]:
     taken: list[float] = []
-    cell = Cell(shipped.config, InProcessDriver(SimulatedCell()))
+    cell = Cell(shipped.config, InProcessDriver(SimulatedCell()), inference=InlineInference)
     async with attended(cell):
         for seed in range(count):
             await _state(cell, CellState.READY)

@@ -12,6 +12,7 @@ from benchmarks.harness.result import QUANTILES, Result, UnavailableError, media
 from benchmarks.harness.stopwatch import timed
 from benchmarks.stands.shipped_cell import ShippedCell, shipped_cell
 from service.cell.cell import Cell
+from service.cell.inference import InlineInference
 from service.cell.process import attended
 from service.messages import CellState, RunResult, StartRequest
 from service.policy.model import Policy
@@ -55,7 +56,7 @@ def measure(scale: float) -> Result:
 
 
 async def _insert(shipped: ShippedCell, runs: int) -> None:
-    cell = Cell(shipped.config, InProcessDriver(SimulatedCell()))
+    cell = Cell(shipped.config, InProcessDriver(SimulatedCell()), inference=InlineInference)
     async with attended(cell):
         for seed in range(runs):
             await _until_ready(cell)

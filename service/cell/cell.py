@@ -7,16 +7,17 @@ within one call, before anything is logged, stored, told or awaited.
 import asyncio
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import structlog
 
 from service.cell import report
 from service.cell.admission import Situation, why_not_start
-from service.cell.inference import InferenceKind, InlineInference, ThreadInference
+from service.cell.inference import InferenceKind, InProcessPolicy
 from service.cell.intake import UNBELIEVED, Intake
 from service.cell.journal import Journal
 from service.cell.orders import Fail
+from service.cell.policy_process import PolicyProcess
 from service.cell.resetting import Resetting
 from service.cell.runs import Runs, ended_by
 from service.cell.standstill import Standstill
@@ -26,6 +27,7 @@ from service.cell.tick_record import TickRecord
 from service.config import CellConfig
 from service.drivers.base import Driver, Sample
 from service.faults import FaultCode
+from service.logs import log_fault
 from service.messages import (
     CellState,
     EventKind,
@@ -56,7 +58,8 @@ class Cell:
     Args:
         config: checked.
         driver: not connected yet; `watch.keep_linked` connects it.
-        inference: how runs get their inference; None: as the driver's mode needs it.
+        inference: how runs get their inference from policies in this process; None: each policy has a process of its
+            own, which can be killed.
         time_of_day: seconds since the Unix epoch, for stamps only; decisions use the driver's clock.
 
     Attributes:
@@ -82,10 +85,14 @@ class Cell:
         self.telemetry_dropped = self.overruns = 0
         self.unlinked = asyncio.Event()
         self.unlinked.set()
-        inference = inference or (InlineInference if driver.mode == "lockstep" else ThreadInference)
+        opener = (
+            PolicyProcess.opener(config.limits.policy_deadline_s, lockstep=driver.mode == "lockstep")
+            if inference is None
+            else InProcessPolicy.opener(inference)
+        )
         self._intake = Intake(config.limits, driver.clock)
         self._standstill = Standstill(driver, config.limits.stop_confirm_s)
-        self._starting = Starting(config, driver, inference, self.journal, self.runs, self._intake, self)
+        self._starting = Starting(config, driver, opener, self.journal, self.runs, self._intake, self)
         self._resetting = Resetting(config.limits, driver, self.journal, self._intake, self)
         self._states = StateMachine(CellState.OFFLINE if self.journal.latch is None else CellState.LATCHED)
         self._link_text = "not connected yet"
@@ -278,7 +285,7 @@ class Cell:
         """Return everything that there is to show; the arm is shown as measured."""
         now = self.driver.clock()
         self._status_seq += 1
-        sample, config, fault = self._intake.sample, self.config, self.journal.fault
+        sample, config = self._intake.sample, self.config
         blocked = why_not_start(self.situation(), None, self.config, self.driver.simulated)
         return Status(
             cell=config.cell.id,
@@ -295,7 +302,7 @@ class Cell:
             mode=self.driver.mode,
             recipes=tuple(config.recipes),
             force_ceiling_n=self._intake.force_ceiling_n,
-            degradations=(*self.degradations, *(() if fault is None else (f"the state directory: {fault}",))),
+            degradations=(*self.degradations, *self._impaired()),
             counters=self._intake.counters(self.driver.samples_dropped, self.telemetry_dropped, self.overruns),
         )
 
@@ -310,6 +317,7 @@ class Cell:
                 while self.state is CellState.STOPPING:
                     await asyncio.sleep(self.driver.tick_s)
         await self.driver.close()
+        await asyncio.to_thread(self._starting.close)
         await asyncio.to_thread(self.journal.close, JOURNAL_CLOSE_S)
 
     # --- for its parts
@@ -351,6 +359,13 @@ class Cell:
         self.journal.inform(lambda observer: observer.on_tick(record))
 
     # --- small parts
+
+    def _impaired(self) -> Iterator[str]:
+        """Yield what does not work at present."""
+        if (fault := self.journal.fault) is not None:
+            yield f"the state directory: {fault}"
+        if (lost := log_fault()) is not None:
+            yield lost
 
     def _finish_run(self) -> None:
         outcome = None if self.runs.active is None else self.runs.active.outcome

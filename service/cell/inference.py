@@ -1,11 +1,11 @@
-"""Computation of the policy's answer: in the event loop in lockstep, on a thread in real time."""
+"""The policy of one run, as the run sees it; and the policy that computes in this process, in the event loop."""
 
-import asyncio
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Protocol, Self
 
-from service.policy.model import Policy
+from service.policy.contract import PolicyContract
+from service.policy.model import Policy, PolicyError
 from wire.arrays import Float32Array
 
 OnAction = Callable[[Float32Array], None]
@@ -23,9 +23,45 @@ class Inference(Protocol):
 
 
 class InferenceKind(Protocol):
-    """Constructor of an `Inference`: one of the two classes below."""
+    """Constructor of an `Inference` that computes in this process."""
 
     def __call__(self, policy: Policy, on_action: OnAction, on_failure: OnFailure) -> Inference: ...
+
+
+class HeldPolicy(Protocol):
+    """A policy that a cell has opened: being loaded, ready for runs, or refused."""
+
+    def loaded(self) -> tuple[str, PolicyContract]:
+        """Wait until the policy is loaded; return its file's SHA-256 and its contract.
+
+        Raises:
+            PolicyError: it cannot be used; the text says why.
+        """
+        ...
+
+    @property
+    def ended(self) -> bool:
+        """True for a policy that was loaded and has come to an end since: it must be opened anew."""
+        ...
+
+    def infer(self, on_action: OnAction, on_failure: OnFailure) -> Inference:
+        """Begin a run; `loaded` has returned.
+
+        Args:
+            on_action: takes each action, (m,) float32.
+            on_failure: takes the exception that comes in an action's place.
+        """
+        ...
+
+    def close(self) -> None:
+        """Release everything. May block for a moment."""
+        ...
+
+
+class PolicyOpener(Protocol):
+    """Opens a policy's file: `PolicyProcess.opener`, or `InProcessPolicy` for tests."""
+
+    def __call__(self, path: Path, expected_sha256: str | None) -> HeldPolicy: ...
 
 
 class InlineInference:
@@ -55,42 +91,47 @@ class InlineInference:
         """Do nothing: no computation is under way between two calls."""
 
 
-class ThreadInference:
-    """Computes on its own thread: the monitor sees every sample meanwhile, and the run holds its last target.
+class InProcessPolicy:
+    """A policy that runs in this process, which a model that hangs takes along. For tests and measurements.
 
     Args:
-        policy: loaded.
-        on_action: takes the action.
-        on_failure: takes the policy's exception.
+        path: ONNX file.
+        expected_sha256: hex digest that the file must have; None: any.
+        kind: how runs get their inference.
     """
 
-    def __init__(self, policy: Policy, on_action: OnAction, on_failure: OnFailure) -> None:
-        self._policy = policy
-        self._on_action = on_action
-        self._on_failure = on_failure
-        self._hidden = policy.initial_hidden()
-        self._loop = asyncio.get_running_loop()
-        self._executor = ThreadPoolExecutor(1, thread_name_prefix="policy")
-        self._closed = False
+    ended = False
 
-    def ask(self, observation: Float32Array) -> None:
-        future = self._executor.submit(self._policy.act, observation, self._hidden)
-        future.add_done_callback(self._hand_back)
+    def __init__(
+        self, path: Path, expected_sha256: str | None = None, *, kind: InferenceKind = InlineInference
+    ) -> None:
+        self._kind = kind
+        self._policy: Policy | PolicyError
+        try:
+            self._policy = Policy.load(path, expected_sha256=expected_sha256)
+        except PolicyError as error:
+            self._policy = error
+
+    @classmethod
+    def opener(cls, kind: InferenceKind) -> PolicyOpener:
+        """Return what opens policies whose runs get this kind of inference."""
+
+        def open_policy(path: Path, expected_sha256: str | None) -> Self:
+            return cls(path, expected_sha256, kind=kind)
+
+        return open_policy
+
+    def loaded(self) -> tuple[str, PolicyContract]:
+        policy = self._loaded()
+        return policy.sha256, policy.contract
+
+    def infer(self, on_action: OnAction, on_failure: OnFailure) -> Inference:
+        return self._kind(self._loaded(), on_action, on_failure)
 
     def close(self) -> None:
-        self._closed = True
-        self._executor.shutdown(wait=False, cancel_futures=True)
+        """Do nothing."""
 
-    def _hand_back(self, future: Future[tuple[Float32Array, Float32Array | None]]) -> None:
-        # On the policy's thread, or on the loop's when the future was cancelled before it began.
-        if not self._closed and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._answer, future)
-
-    def _answer(self, future: Future[Any]) -> None:
-        if self._closed:
-            return
-        if (error := future.exception()) is not None:
-            self._on_failure(error if isinstance(error, Exception) else RuntimeError(str(error)))
-            return
-        action, self._hidden = future.result()
-        self._on_action(action)
+    def _loaded(self) -> Policy:
+        if isinstance(self._policy, PolicyError):
+            raise self._policy
+        return self._policy

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import structlog
 
-from service.cell.inference import Inference, InferenceKind
+from service.cell.inference import HeldPolicy, Inference
 from service.cell.insertion import Insertion, Stage
 from service.cell.journal import Journal
 from service.cell.orders import Disengage, Engage, Fail, Halt, Infer, Move, Order, Succeed, ZeroFt
@@ -17,7 +17,7 @@ from service.cell.tick_record import TickRecord
 from service.drivers.base import Driver, Sample
 from service.faults import FaultCode
 from service.messages import CellState, Run, RunState, StartRequest
-from service.policy.model import Policy, PolicyError
+from service.policy.model import PolicyError, PolicyFault
 from wire.arrays import Float32Array
 
 STATE_IN: dict[Stage, CellState] = {
@@ -90,10 +90,10 @@ class ActiveRun:
     def abandoned(self) -> bool:
         return self._abandoned
 
-    def begin(self, plan: Plan, policy: Policy, kind: InferenceKind) -> None:
+    def begin(self, plan: Plan, policy: HeldPolicy) -> None:
         """Insert, from the next sample on."""
         self.insertion = Insertion(plan)
-        self._inference = kind(policy, self._take_action, self._take_failure)
+        self._inference = policy.infer(self._take_action, self._take_failure)
 
     def on_sample(self, sample: Sample) -> None:
         """Take in a sample that the monitor has passed."""
@@ -177,7 +177,9 @@ class ActiveRun:
     def _take_failure(self, error: Exception) -> None:
         if self._abandoned:
             return
-        if isinstance(error, PolicyError):
+        if isinstance(error, PolicyError) and error.reason is PolicyFault.TOO_SLOW:
+            self._host.halt(FaultCode.POLICY_DEADLINE, f"{error.text}; the last target was held")
+        elif isinstance(error, PolicyError):
             self._host.halt(FaultCode.POLICY_INVALID, f"the policy gave no usable action: {error}")
         else:
             self._host.halt(FaultCode.INTERNAL, f"inference failed with {type(error).__name__}: {error}")

@@ -6,17 +6,16 @@ from typing import Protocol, cast
 import structlog
 
 from service.cell.admission import Situation, refused, why_not_start
-from service.cell.inference import InferenceKind
+from service.cell.inference import PolicyOpener
 from service.cell.intake import Intake
 from service.cell.journal import Journal
 from service.cell.plan import plan_insertion
-from service.cell.policies import PolicyRefusedError, PolicyShelf
+from service.cell.policies import Admitted, PolicyRefusedError, PolicyShelf
 from service.cell.runs import ActiveRun, RunHost, Runs
 from service.config import CellConfig, RecipeSection
 from service.drivers.base import Driver, DriverError
 from service.faults import FaultCode
 from service.messages import CellState, EventKind, RefusalReason, Refused, Run, RunResult, RunState, StartRequest
-from service.policy.model import Policy
 from wire.task import Part, Task
 
 _log = structlog.get_logger("service.cell")
@@ -42,7 +41,7 @@ class Starting:
     Args:
         config: of the cell.
         driver: of the arm.
-        inference: how runs get their inference.
+        opener: opens the policies' files.
         journal: of the cell.
         runs: of the cell.
         intake: of the cell.
@@ -57,7 +56,7 @@ class Starting:
         self,
         config: CellConfig,
         driver: Driver,
-        inference: InferenceKind,
+        opener: PolicyOpener,
         journal: Journal,
         runs: Runs,
         intake: Intake,
@@ -65,12 +64,11 @@ class Starting:
     ) -> None:
         self._config = config
         self._driver = driver
-        self._inference = inference
         self._journal = journal
         self._runs = runs
         self._intake = intake
         self._host = host
-        self._policies = PolicyShelf(config, driver.tick_s)
+        self._policies = PolicyShelf(config, driver.tick_s, opener)
         self._preparation: asyncio.Task[None] | None = None
         self.preparing = False
 
@@ -110,6 +108,10 @@ class Starting:
         if self._preparation is not None:
             self._preparation.cancel()
 
+    def close(self) -> None:
+        """Release the policies. May block for a moment."""
+        self._policies.close()
+
     # --- acceptance
 
     async def _record(self, active: ActiveRun) -> None:
@@ -137,7 +139,7 @@ class Starting:
 
     # --- preparation
 
-    async def _prepare(self, active: ActiveRun, policy: Policy) -> None:
+    async def _prepare(self, active: ActiveRun, policy: Admitted) -> None:
         try:
             await self._prepare_world(active, policy)
         except Exception as error:
@@ -145,7 +147,7 @@ class Starting:
             if not active.abandoned:
                 self._host.halt(FaultCode.INTERNAL, f"{type(error).__name__}: {error}")
 
-    async def _prepare_world(self, active: ActiveRun, policy: Policy) -> None:
+    async def _prepare_world(self, active: ActiveRun, policy: Admitted) -> None:
         run, recipe = active.accepted, self._config.recipes[active.accepted.recipe]
         plan = plan_insertion(self._config, recipe, policy.contract)
         self.preparing = True
@@ -162,7 +164,7 @@ class Starting:
         if failure is not None:
             self._host.end_run(RunState.FAILED, failure.code, str(failure))
             return
-        active.begin(plan, policy, self._inference)
+        active.begin(plan, policy.held)
 
 
 def _task(run: Run, recipe: RecipeSection) -> Task | None:

@@ -10,12 +10,14 @@ import typer
 from service.commands.configured import ConfigPath, load_cell, ur_section
 from service.config import CellConfig
 from service.drivers.sim_process import Simulator, simulator
+from service.logs import take_over_stderr
 from wire.exits import Exit
 
 
 def control(config: ConfigPath = None) -> None:
     """Run the control process of a cell until SIGTERM or Ctrl-C."""
     cell = load_cell(config)
+    take_over_stderr()
     try:
         with _world(cell) as world:
             _run(cell, world)

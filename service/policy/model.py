@@ -32,6 +32,8 @@ class PolicyFault(StrEnum):
     FAILED = "FAILED"
     INVALID_OBSERVATION = "INVALID_OBSERVATION"
     INVALID_OUTPUT = "INVALID_OUTPUT"
+    TOO_SLOW = "TOO_SLOW"
+    ENDED = "ENDED"
 
 
 class PolicyError(Exception):

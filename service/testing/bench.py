@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import pytest
 
 from service.cell.cell import Cell
-from service.cell.inference import InferenceKind
+from service.cell.inference import InferenceKind, InlineInference
 from service.cell.process import attended
 from service.cell.tick_record import TickRecord
 from service.config import CellConfig
@@ -138,7 +138,7 @@ async def lockstep_cell(
     config: CellConfig,
     *,
     wrap: Callable[[Driver], Driver] | None = None,
-    inference: InferenceKind | None = None,
+    inference: InferenceKind | None = InlineInference,
     world: SimulatedCell | None = None,
 ) -> AsyncGenerator[Bench]:
     """Run a cell on a simulated world in this process while the context lasts. It is READY or LATCHED on entry.
@@ -146,7 +146,7 @@ async def lockstep_cell(
     Args:
         config: of the cell. Its arm is the plain simulated one, whatever `cell.driver` says.
         wrap: puts something between cell and driver, such as a fault injector or a recorder.
-        inference: how runs get their inference; None: inference in the loop.
+        inference: how runs get their inference; None: the policy has a process of its own, as in a control process.
         world: the world to use; None: a new one with the first recipe's part.
     """
     if world is None:

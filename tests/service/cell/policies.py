@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from service.policy.contract import ObservationEntry, PolicyContract
-from tests.service.policy.model_files import contract, linear_model
+from tests.service.policy.model_files import contract, failing_model, hanging_model, linear_model
 from training.environment.design import LAW, LOCK
 
 OBSERVATION = (
@@ -39,6 +39,16 @@ def straight(folder: Path, **changes: object) -> Path:
     weights = np.zeros((asked.observation_size, len(asked.action)))
     weights[0, 0] = weights[1, 1] = 500.0
     return save(folder / "straight.onnx", linear_model(asked, weights=weights))
+
+
+def hanging(folder: Path, when: str, **changes: object) -> Path:
+    """Asks for nothing and never ends: at every inference (`load`), the `first` one of a run, or a `later` one."""
+    return save(folder / "hanging.onnx", hanging_model(document(hidden_size=1, **changes), when))
+
+
+def not_a_number(folder: Path) -> Path:
+    """Answers with NaN as soon as a run asks; the trial at loading does not show it."""
+    return save(folder / "nan.onnx", failing_model(document(hidden_size=1)))
 
 
 def pressing(folder: Path, **changes: object) -> Path:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from service.cell.policies import PolicyRefusedError, PolicyShelf
+from service.cell.inference import InProcessPolicy
+from service.cell.policies import Admitted, PolicyRefusedError, PolicyShelf
 from service.config import CellConfig, load
-from service.policy.model import Policy
 from service.safety.dsl import DslParameters
 from service.testing import RECIPE, cell_config
 from tests.service.cell import policies
@@ -23,8 +23,8 @@ SHIPPED = sorted((ROOT / "models").glob("*.onnx"))
 MODES = ("paper", "sliding", "off")
 
 
-def admit(config: CellConfig, recipe: str = RECIPE) -> Policy:
-    return PolicyShelf(config, TICK_S).admit(recipe)
+def admit(config: CellConfig, recipe: str = RECIPE) -> Admitted:
+    return PolicyShelf(config, TICK_S, InProcessPolicy).admit(recipe)
 
 
 def locked(**changes: object) -> DslParameters:

@@ -84,3 +84,100 @@ def linear_model(
     for key, value in (document.to_metadata() if metadata is None else metadata).items():
         model.metadata_props.add(key=key, value=value)
     return model
+
+
+HANGS = ("load", "first", "later")
+
+
+def hanging_model(document: PolicyContract, when: str) -> onnx.ModelProto:
+    """A policy that asks for nothing, in a graph whose loop does not end.
+
+    Args:
+        document: with `height` as its third number, and one recurrent number.
+        when: `load`, at every inference; `first`, at the first one of a real run; `later`, at the fourth of a run.
+    """
+    make = helper.make_node
+    triggers = {
+        "load": [make("Greater", ["one", "nothing"], ["hangs"])],
+        "first": _away_from_trial("hangs"),
+        "later": [make("Greater", ["hidden", "steps"], ["hangs"])],
+    }
+    number = helper.make_tensor_value_info
+    body = helper.make_graph(
+        [make("Identity", ["condition"], ["goes_on"]), make("Identity", ["in"], ["out"])],
+        "body",
+        [
+            number("turn", TensorProto.INT64, []),
+            number("condition", TensorProto.BOOL, []),
+            number("in", TensorProto.FLOAT, [None, None]),
+        ],
+        [number("goes_on", TensorProto.BOOL, []), number("out", TensorProto.FLOAT, [None, None])],
+    )
+    nodes = [
+        make("MatMul", ["observation", "W"], ["product"]),
+        *triggers[when],
+        make("Where", ["hangs", "ever", "never"], ["turns"]),
+        make("Reshape", ["turns", "scalar"], ["times"]),
+        make("Loop", ["times", "yes", "product"], ["action"], body=body),
+        make("Add", ["hidden", "one"], ["next_hidden"]),
+    ]
+    return _recurrent(document, nodes)
+
+
+def failing_model(document: PolicyContract) -> onnx.ModelProto:
+    """A policy that answers with NaN in a real run, and with zero when it is tried at loading."""
+    make = helper.make_node
+    nodes = [
+        make("MatMul", ["observation", "W"], ["product"]),
+        *_away_from_trial("fails"),
+        make("Where", ["fails", "nan", "nil"], ["bad"]),
+        make("Add", ["product", "bad"], ["action"]),
+        make("Add", ["hidden", "one"], ["next_hidden"]),
+    ]
+    return _recurrent(document, nodes)
+
+
+def _away_from_trial(name: str) -> list[onnx.NodeProto]:
+    """Tell whether the height is other than in the trial at loading: zero, plus and minus the scale."""
+    make = helper.make_node
+    return [
+        make("Gather", ["observation", "third"], ["height"], axis=1),
+        make("Abs", ["height"], ["size"]),
+        make("Sub", ["size", "scale"], ["above"]),
+        make("Mul", ["size", "above"], ["both"]),
+        make("Abs", ["both"], ["odd"]),
+        make("Greater", ["odd", "nothing"], [name]),
+    ]
+
+
+def _recurrent(document: PolicyContract, nodes: Sequence[onnx.NodeProto]) -> onnx.ModelProto:
+    """Build a model of a batch of one whose hidden state counts its steps."""
+    scale = next(entry.scale for entry in document.observation if entry.name == "height")
+    constants = {
+        "W": np.zeros((document.observation_size, len(document.action)), np.float32),
+        "one": np.ones(1, np.float32),
+        "nil": np.zeros(1, np.float32),
+        "nan": np.full(1, np.nan, np.float32),
+        "third": np.array([2]),
+        "never": np.array([0]),
+        "ever": np.array([2**62]),
+        "scale": np.array([scale], np.float32),
+        "nothing": np.array([1e-9], np.float32),
+        "steps": np.array([2.5], np.float32),
+        "yes": np.array(True),
+        "scalar": np.array([], np.int64),
+    }
+    number = helper.make_tensor_value_info
+    sizes = {"observation": document.observation_size, "hidden": 1, "action": len(document.action), "next_hidden": 1}
+    ends = {name: number(name, TensorProto.FLOAT, [1, size]) for name, size in sizes.items()}
+    graph = helper.make_graph(
+        list(nodes),
+        "recurrent",
+        [ends["observation"], ends["hidden"]],
+        [ends["action"], ends["next_hidden"]],
+        [numpy_helper.from_array(value, name) for name, value in constants.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    for key, value in document.to_metadata().items():
+        model.metadata_props.add(key=key, value=value)
+    return model

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from service.cell.cell import Cell
-from service.cell.inference import InferenceKind
+from service.cell.inference import InferenceKind, InlineInference
 from service.cell.process import attended
 from service.config import CellConfig
 from service.drivers.base import Driver, Sample
@@ -172,7 +172,7 @@ async def emulated(
 
 @asynccontextmanager
 async def lockstep_ur_cell(
-    config: CellConfig, *, wrap: Callable[[Driver], Driver] | None = None, inference: InferenceKind | None = None
+    config: CellConfig, *, wrap: Callable[[Driver], Driver] | None = None, inference: InferenceKind = InlineInference
 ) -> AsyncIterator[Bench]:
     """`service.testing.lockstep_cell` with a UR arm: the same bench, whose world is the emulated controller's."""
     async with emulated(config) as arm:

@@ -1,0 +1,166 @@
+"""The process in which a policy of a cell is loaded and run: `python -m service.policy.worker`.
+
+It serves one model to one parent over a socket. It answers each observation with one action, in the order asked, and
+keeps the recurrent state between the steps of a run. The parent kills it when it gives no answer in time, so it holds
+nothing that must be released.
+"""
+
+import contextlib
+import json
+import os
+import resource
+import socket
+import statistics
+import struct
+import sys
+import time
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+
+from service.policy.model import Policy, PolicyError, PolicyFault
+from service.program import bound_to
+from wire.arrays import Float32Array
+
+HEAD = struct.Struct("<BI")
+"""Head of a frame: its kind, and the length of its payload in bytes."""
+PAYLOAD_LIMIT_BYTES = 2**20
+NICENESS = 1
+"""Distance from an ordinary process's priority: below the control loop, and not so far that deadlines are missed."""
+MEMORY_LIMIT_BYTES = 2**30
+"""Address space of a worker. Python, numpy and ONNX Runtime take about a quarter of it, a model's file 16 MiB."""
+REHEARSALS = 9
+"""Inferences at zero that are timed after loading; the median is reported."""
+
+
+class Kind(IntEnum):
+    """Kind of a frame."""
+
+    LOADED = 1
+    """To the parent: JSON with `sha256`, `contract` and `step_s`."""
+    REFUSED = 2
+    """To the parent: JSON with `reason` and `text`; the policy cannot be used."""
+    FIRST = 3
+    """To the worker: the first observation of a run, float32."""
+    NEXT = 4
+    """To the worker: a later observation, float32."""
+    ACTION = 5
+    """To the parent: the action, float32."""
+
+
+class BrokenFrameError(Exception):
+    """The bytes received are no frame."""
+
+
+def encode(kind: Kind, payload: bytes) -> bytes:
+    """Return a frame."""
+    return HEAD.pack(kind, len(payload)) + payload
+
+
+def decode(received: bytes | bytearray) -> tuple[Kind, bytes] | None:
+    """Return the frame at the beginning of what was received; None while it is not whole.
+
+    Raises:
+        BrokenFrameError: the bytes are no frame.
+    """
+    if len(received) < HEAD.size:
+        return None
+    number, length = HEAD.unpack_from(received)
+    try:
+        kind = Kind(number)
+    except ValueError as error:
+        raise BrokenFrameError(str(error)) from None
+    if length > PAYLOAD_LIMIT_BYTES:
+        raise BrokenFrameError(f"a payload of {length} bytes")
+    if len(received) < HEAD.size + length:
+        return None
+    return kind, bytes(received[HEAD.size : HEAD.size + length])
+
+
+def serve(connection: socket.socket, path: Path, sha256: str | None) -> None:
+    """Load a policy, say so, and answer until the parent closes the connection.
+
+    Args:
+        connection: to the parent.
+        path: ONNX file.
+        sha256: hex digest that the file must have; None: any.
+    """
+    try:
+        policy = Policy.load(path, expected_sha256=sha256)
+        loaded = {"sha256": policy.sha256, "contract": policy.contract.to_json(), "step_s": _rehearse(policy)}
+    except PolicyError as error:
+        connection.sendall(_refusal(error))
+        return
+    except MemoryError:
+        text = f"{path} needs more than {MEMORY_LIMIT_BYTES >> 20} MiB"
+        connection.sendall(_refusal(PolicyError(PolicyFault.TOO_LARGE, text)))
+        return
+    connection.sendall(encode(Kind.LOADED, json.dumps(loaded).encode()))
+    hidden = policy.initial_hidden()
+    received = bytearray()
+    while data := connection.recv(PAYLOAD_LIMIT_BYTES):
+        received += data
+        while (frame := decode(received)) is not None:
+            kind, payload = frame
+            del received[: HEAD.size + len(payload)]
+            if kind is Kind.FIRST:
+                hidden = policy.initial_hidden()
+            answer, hidden = _answer(policy, np.frombuffer(payload, np.float32), hidden)
+            connection.sendall(answer)
+
+
+def _answer(
+    policy: Policy, observation: Float32Array, hidden: Float32Array | None
+) -> tuple[bytes, Float32Array | None]:
+    try:
+        action, hidden = policy.act(observation, hidden)
+    except PolicyError as error:
+        return _refusal(error), hidden
+    return encode(Kind.ACTION, action.astype(np.float32).tobytes()), hidden
+
+
+def _refusal(error: PolicyError) -> bytes:
+    return encode(Kind.REFUSED, json.dumps({"reason": error.reason, "text": error.text[:2000]}).encode())
+
+
+def _rehearse(policy: Policy) -> float:
+    """Return the median time of an inference, s. Loading has run the graph, so nothing is slow for being new."""
+    observation = np.zeros(policy.contract.observation_size, np.float32)
+    spans: list[float] = []
+    for _ in range(REHEARSALS):
+        begun = time.perf_counter()
+        policy.act(observation, policy.initial_hidden())
+        spans.append(time.perf_counter() - begun)
+    return statistics.median(spans)
+
+
+def _confine(parent: int) -> None:
+    """Give up real-time priority, bound the memory, and end with the parent in whatever way that one ends."""
+    if (bind := bound_to(parent)) is not None:
+        bind()
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.nice(NICENESS)
+    for what, limit in ((resource.RLIMIT_AS, MEMORY_LIMIT_BYTES), (resource.RLIMIT_CORE, 0)):
+        _, hard = resource.getrlimit(what)
+        most = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        resource.setrlimit(what, (most, hard))
+
+
+def main(handle: str, parent: str, path: str, sha256: str) -> None:
+    """Serve one policy.
+
+    Args:
+        handle: number of the inherited socket.
+        parent: process id of the parent.
+        path: ONNX file.
+        sha256: hex digest that the file must have; empty: any.
+    """
+    _confine(int(parent))
+    with socket.socket(fileno=int(handle)) as connection, contextlib.suppress(BrokenPipeError, ConnectionResetError):
+        serve(connection, Path(path), sha256 or None)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
