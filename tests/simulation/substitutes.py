@@ -3,13 +3,14 @@
 import os
 import random
 import secrets
+import sys
 import time
 import uuid
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
-from types import SimpleNamespace
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
 import aiosqlite.core
@@ -21,12 +22,11 @@ import api.application
 import service.cell.cell
 import service.cell.journal.storage
 import service.cell.process
-import service.cell.starting
 import service.client
 import service.drivers.zenoh_sim
 import sim_backend.zenoh_cell.server
-from service.cell.policies import PolicyRefusedError
-from service.config import CellConfig
+from service.cell.inference import InlineInference
+from service.policy.contract import PolicyContract
 from service.policy.model import Policy, PolicyError
 from sim_backend.metronome import Metronome
 from tests.simulation import clock, threads
@@ -99,24 +99,34 @@ class Inference:
             self._on_action(action)
 
 
-_LOADED: dict[Path, Policy] = {}
+_LOADED: dict[Path, Policy | PolicyError] = {}
 
 
-class Shelf:
-    """Stands in for `PolicyShelf`: policies that are loaded once for all universes."""
+class Held:
+    """A `HeldPolicy` on the virtual clock: loaded once for all universes, and slow all the same."""
 
-    def __init__(self, host: Host, config: CellConfig, *_: Any, **__: Any) -> None:
-        self._host, self._config = host, config
+    ended = False
 
-    def admit(self, recipe: str) -> Policy:
-        clock.sleep(self._host.between(self._host.admission_latency_s))
-        path = self._config.recipes[recipe].policy
+    def __init__(self, host: Host, path: Path, expected_sha256: str | None) -> None:
+        self._host = host
         if path not in _LOADED:
             try:
-                _LOADED[path] = Policy.load(path)
+                _LOADED[path] = Policy.load(path, expected_sha256=expected_sha256)
             except PolicyError as error:
-                raise PolicyRefusedError(str(error)) from error
-        return _LOADED[path]
+                _LOADED[path] = error
+        self._policy = _LOADED[path]
+
+    def loaded(self) -> tuple[str, PolicyContract]:
+        clock.sleep(self._host.between(self._host.admission_latency_s))
+        if isinstance(self._policy, PolicyError):
+            raise self._policy
+        return self._policy.sha256, self._policy.contract
+
+    def infer(self, on_action: Callable[[Float32Array], None], on_failure: Callable[[Exception], None]) -> Inference:
+        assert isinstance(self._policy, Policy)
+        return Inference(self._host, self._policy, on_action, on_failure)
+
+    def close(self) -> None: ...
 
 
 def _database_queue(host: Host) -> type[threads.SimpleQueue]:
@@ -178,11 +188,12 @@ def changes(host: Host, dozed_ticks: Callable[[], int]) -> list[Change]:
         dozed_ticks: ticks that the world leaves out at this moment.
     """
     network, chance = host.network, host.chance
-    kind = partial(Inference, host)
+    policies = SimpleNamespace(opener=lambda _kind: partial(Held, host))
     signals = SimpleNamespace(SIGINT=2, SIGTERM=15, Signals=int, getsignal=lambda number: None, signal=lambda *_: None)
     server = sim_backend.zenoh_cell.server
     process = service.cell.process
     return [
+        *_defaults(host),
         (time, "time", host.time_of_day),
         (time, "monotonic", host.monotonic),
         (time, "sleep", clock.sleep),
@@ -204,18 +215,51 @@ def changes(host: Host, dozed_ticks: Callable[[], int]) -> list[Change]:
         (service.drivers.zenoh_sim, "close_session", close_session),
         (process, "open_session", network.open),
         (process, "close_session", close_session),
-        (process, "Cell", partial(service.cell.cell.Cell, inference=kind)),
+        (process, "Cell", partial(service.cell.cell.Cell, inference=InlineInference)),
+        (service.cell.cell, "InProcessPolicy", policies),
         (process, "alone", partial(_alone, host)),
         (process, "request_realtime", tuple),
         (process, "freeze_garbage", lambda: None),
-        (service.cell.starting, "PolicyShelf", partial(Shelf, host)),
-        (api.application, "CellClient", partial(service.client.CellClient, clock=host.monotonic, time_of_day=host.time_of_day)),
-        (api.application, "FollowedCell", partial(api.application.FollowedCell, clock=host.monotonic)),
         (api.application, "signal", signals),
         (server, "Metronome", _metronome(host, dozed_ticks)),
         (server, "has_realtime_scheduling", lambda: False),
         (server, "freeze_garbage", lambda: None),
     ]
+
+
+OURS = ("service", "api", "sim_backend", "wire")
+
+
+def _defaults(host: Host) -> list[Change]:
+    """Clocks that stand as defaults in the signatures of our functions."""
+    clocks: dict[Any, Any] = {
+        time.monotonic: host.monotonic, time.time: host.time_of_day, time.sleep: clock.sleep,
+        time.perf_counter: host.monotonic,
+    }  # fmt: skip
+    found: list[Change] = []
+    for function in _functions_with_clocks():
+        defaults = tuple(clocks.get(value, value) if callable(value) else value for value in function.__defaults__ or ())
+        named = {
+            name: clocks.get(value, value) if callable(value) else value
+            for name, value in (function.__kwdefaults__ or {}).items()
+        }
+        found += [(function, "__defaults__", defaults or None), (function, "__kwdefaults__", named or None)]
+    return found
+
+
+@lru_cache(maxsize=1)
+def _functions_with_clocks() -> list[FunctionType]:
+    known = {time.monotonic, time.time, time.sleep, time.perf_counter}
+    functions: dict[int, FunctionType] = {}
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] in OURS:
+            for value in vars(module).values():
+                function = value.__dict__.get("__init__") if isinstance(value, type) else value
+                if isinstance(function, FunctionType):
+                    given = [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()]
+                    if any(callable(one) and one in known for one in given):
+                        functions[id(function)] = function
+    return list(functions.values())
 
 
 @contextmanager

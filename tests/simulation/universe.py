@@ -162,7 +162,6 @@ class Universe:
             kept = control_process.Cell
 
             def make(*args: Any, **kwargs: Any) -> Cell:
-                kwargs["time_of_day"] = self.host.time_of_day
                 self.cell = kept(*args, **kwargs)
                 return self.cell
 
