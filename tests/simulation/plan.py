@@ -33,6 +33,7 @@ class Plan:
     Attributes:
         policy: name of the policy that runs.
         lie: name of what is wrong with the sensor, from `lie_s` on.
+        patience_s: time that a run has to end by itself, before it is stopped for the end of the story.
     """
 
     seed: int
@@ -41,6 +42,7 @@ class Plan:
     lie: str = "honest"
     lie_s: float = 0.0
     happenings: list[Happening] = field(default_factory=list)
+    patience_s: float = 0.0
 
     def add(self, at_s: float, kind: str, **details: Any) -> None:
         self.happenings.append(Happening(max(0.0, at_s), kind, details))
@@ -193,24 +195,28 @@ def two_faults(plan: Plan, chance: random.Random) -> None:
 
 def lying_sensor(plan: Plan, chance: random.Random) -> None:
     """A sensor that lies, from the start or from some moment of the run on."""
+    plan.patience_s = 2.0
     start_s = _run(plan, chance)
     plan.lie = chance.choice(tuple(LIES))
+    if chance.random() < 0.7:  # it presses on the block beside the hole
+        plan.surroundings.camera_m = (chance.choice((-1, 1)) * chance.uniform(4e-3, 8e-3), 0.0, 0.0)
     plan.lie_s = 0.0 if chance.random() < 0.5 else start_s + chance.uniform(0.3, 1.8)
 
 
 def wrong_camera(plan: Plan, chance: random.Random) -> None:
     """A camera that is wrong by up to 20 mm, a hole that is not there, or a policy that pushes sideways."""
-    _run(plan, chance)
+    plan.patience_s = 5.0
+    _run(plan, chance, 0.05)
     s = plan.surroundings
     match chance.randrange(3):
         case 0:
             error = [0.0, 0.0, 0.0]
-            error[chance.randrange(3)] = chance.choice((-1, 1)) * chance.uniform(4e-3, 20e-3)
+            error[chance.choice((0, 1, 2, 2))] = chance.choice((-1, 1)) * chance.uniform(4e-3, 20e-3)
             s.camera_m = tuple(error)  # type: ignore[assignment]
         case 1:
             s.half_m = -1.0
         case _:
-            plan.policy = "sideways"
+            plan.policy, s.block_m = "sideways", 0.01
 
 
 def idle(plan: Plan, chance: random.Random) -> None:

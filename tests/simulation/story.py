@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from service.messages import CellState
+from service.policy.contract import ObservationEntry
 from tests.service.cell import policies
 from tests.service.policy.model_files import linear_model
 from tests.simulation.judge import Judge
@@ -63,9 +64,9 @@ def policy(name: str) -> Path:
     folder = _folder()
     if name != "sideways":
         return getattr(policies, name)(folder)
-    asked = policies.document()
+    asked = policies.document(observation=(*policies.OBSERVATION, ObservationEntry.of("time_fraction")))
     weights = np.zeros((asked.observation_size, len(asked.action)))
-    weights[2, 0] = 50.0
+    weights[-1, 0] = 1e3
     return policies.save(folder / "sideways.onnx", linear_model(asked, weights=weights))
 
 
@@ -125,6 +126,9 @@ class Story:
             universe.note(str(happening))
             self.happen(happening)
         await asyncio.sleep(max(0.0, began_s + LENGTH_S - universe.loop.time()))
+        patient_until = universe.loop.time() + plan.patience_s
+        while universe.loop.time() < patient_until and universe.cell is not None and universe.cell.runs.active is not None:
+            await asyncio.sleep(0.05)
         await self.come_to_rest()
 
     async def wait(self, seconds: float) -> None:
