@@ -239,6 +239,10 @@ class Counters(Message):
     """Samples that the loop was too slow to take; the largest force among them was judged."""
     telemetry_dropped: int = 0
     loop_overruns: int = 0
+    """Turns of the control loop that came more than 20 ms late."""
+    loop_late_p99_s: float = 0.0
+    """99th percentile of the lateness of the loop's turns in the last 10 s."""
+    loop_late_max_s: float = 0.0
 
 
 class Status(Message):

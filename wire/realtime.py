@@ -1,9 +1,11 @@
 """Real-time request of a 500 Hz process to its host."""
 
+import contextlib
 import ctypes
 import gc
 import os
 import sys
+import threading
 
 PRIORITY = 40
 """Priority under SCHED_FIFO: below the kernel's own threads (50), equal for control process and simulator."""
@@ -13,9 +15,10 @@ _MCL_CURRENT_AND_FUTURE = 3
 
 
 def request_realtime() -> tuple[str, ...]:
-    """Ask for real-time scheduling of this thread and for locked memory.
+    """Ask for real-time scheduling of this thread and Python's other ones, and for locked memory.
 
-    Threads started before keep their scheduling; threads started by this one afterwards inherit it.
+    The other threads of Python have it too, lest one of ordinary priority be held up by other programs while it holds
+    the interpreter's lock. Threads started afterwards inherit it; those started before by libraries stay as they are.
 
     Returns:
         One line for each refusal, with its remedy; empty if everything was granted.
@@ -24,6 +27,9 @@ def request_realtime() -> tuple[str, ...]:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        for thread in threading.enumerate():
+            with contextlib.suppress(ProcessLookupError):  # it has just ended
+                os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError as error:
         refused.append(
             f"no real-time scheduling ({error.strerror}): a tick may be some milliseconds late; "

@@ -16,6 +16,7 @@ from service.cell.admission import Situation, why_not_start
 from service.cell.inference import InferenceKind, InProcessPolicy
 from service.cell.intake import UNBELIEVED, Intake
 from service.cell.journal import Journal
+from service.cell.lateness import Lateness
 from service.cell.orders import Fail
 from service.cell.policy_process import PolicyProcess
 from service.cell.resetting import Resetting
@@ -48,6 +49,8 @@ LINK_FAULTS = frozenset({FaultCode.STALE, FaultCode.LINK, FaultCode.SOURCE, Faul
 JOURNAL_CLOSE_S = 0.5
 UNCONFIRMED = "no standstill was measured in time after the stop: use the robot's own emergency stop."
 TELEMETRY_TICKS = 10
+OVERRUN_S = 0.02
+"""Lateness of one turn of the loop that counts as an overrun."""
 
 _log = structlog.get_logger("service.cell")
 
@@ -82,7 +85,8 @@ class Cell:
         self.journal = Journal(config.cell.state_dir, time_of_day)
         self.runs = Runs(self.journal, driver)
         self.degradations: Sequence[str] = ()
-        self.telemetry_dropped = self.overruns = 0
+        self.telemetry_dropped = 0
+        self.lateness = Lateness(OVERRUN_S)
         self.unlinked = asyncio.Event()
         self.unlinked.set()
         opener = (
@@ -303,7 +307,7 @@ class Cell:
             recipes=tuple(config.recipes),
             force_ceiling_n=self._intake.force_ceiling_n,
             degradations=(*self.degradations, *self._impaired()),
-            counters=self._intake.counters(self.driver.samples_dropped, self.telemetry_dropped, self.overruns),
+            counters=self._intake.counters(self.driver.samples_dropped, self.telemetry_dropped, self.lateness),
         )
 
     async def close(self) -> None:

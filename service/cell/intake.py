@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from service.cell.lateness import Lateness
 from service.cell.plan import plan_monitor
 from service.config import LimitsSection
 from service.drivers.base import Program, Sample
@@ -111,7 +112,7 @@ class Intake:
     def in_protective_stop(self) -> bool:
         return self.sample is not None and self.sample.program is Program.PROTECTIVE_STOP
 
-    def counters(self, samples_dropped: int, telemetry_dropped: int, loop_overruns: int) -> Counters:
+    def counters(self, samples_dropped: int, telemetry_dropped: int, lateness: Lateness) -> Counters:
         """Return the counts of samples, together with counts made elsewhere."""
         return Counters(
             samples=self.accepted,
@@ -119,7 +120,9 @@ class Intake:
             samples_missed=self._missed,
             samples_dropped=samples_dropped,
             telemetry_dropped=telemetry_dropped,
-            loop_overruns=loop_overruns,
+            loop_overruns=lateness.overruns,
+            loop_late_p99_s=lateness.p99_s,
+            loop_late_max_s=lateness.max_s,
         )
 
 

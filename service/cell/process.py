@@ -5,28 +5,40 @@ import contextlib
 import fcntl
 import signal
 import time
-from collections.abc import AsyncGenerator, Generator
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncGenerator, Callable, Generator, Sequence
+from contextlib import ExitStack, asynccontextmanager, contextmanager
+from functools import partial
 from pathlib import Path
 
 import structlog
 
 from service.cell.cell import Cell
 from service.cell.control_plane import ControlPlane
+from service.cell.states import WITH_RUN
 from service.cell.watch import keep_linked, keep_watch
 from service.config import CellConfig
 from service.drivers.base import Driver
+from service.drivers.watchdog import Watchdog
+from service.messages import CellState, EventKind
+from service.notify import Notifier
 from wire.realtime import freeze_garbage, request_realtime
 from wire.session import close_session, open_session
+
+WATCHDOG_LOST = "the watchdog has ended: a loop that hangs is stopped by the arm alone; restart the control process"
 
 _log = structlog.get_logger("service")
 
 
 @asynccontextmanager
-async def attended(cell: Cell) -> AsyncGenerator[None]:
-    """Keep a cell linked and watched while the context lasts; stop and close it at the end."""
+async def attended(cell: Cell, beats: Sequence[Callable[[], None]] = ()) -> AsyncGenerator[None]:
+    """Keep a cell linked and watched while the context lasts; stop and close it at the end.
+
+    Args:
+        cell: not linked yet.
+        beats: called in every turn of the watch.
+    """
     link = asyncio.create_task(keep_linked(cell), name="link")
-    watch = asyncio.create_task(keep_watch(cell), name="watch")
+    watch = asyncio.create_task(keep_watch(cell, beats), name="watch")
     try:
         yield
     finally:
@@ -36,6 +48,36 @@ async def attended(cell: Cell) -> AsyncGenerator[None]:
         for result in await asyncio.gather(link, watch, return_exceptions=True):
             if isinstance(result, Exception):
                 _log.error("task of the cell", error=repr(result))
+
+
+@contextmanager
+def guarded(cell: Cell, brake: Sequence[str]) -> Generator[tuple[Notifier, list[Callable[[], None]]]]:
+    """Have the loop watched from outside while the context lasts: by systemd, and in real time by a watchdog.
+
+    Args:
+        cell: to guard.
+        brake: arguments of the watchdog's brake; without them there is no watchdog.
+
+    Yields:
+        The notices to systemd, and the beats that the loop owes to both.
+
+    Raises:
+        OSError: no process can be made.
+    """
+    with ExitStack() as stack:
+        notifier = stack.enter_context(Notifier())
+        beats = [notifier.beat]
+        if brake and cell.driver.mode == "real_time":
+            watchdog = stack.enter_context(Watchdog(brake, cell.config.limits.sample_age_s))
+            beats.append(partial(_quiet, cell, watchdog))
+        yield notifier, beats
+
+
+def _quiet(cell: Cell, watchdog: Watchdog) -> None:
+    armed = cell.state in WITH_RUN or cell.state is CellState.STOPPING
+    if not watchdog.beat(armed=armed) and WATCHDOG_LOST not in cell.degradations:
+        cell.degradations = (*cell.degradations, WATCHDOG_LOST)
+        cell.journal.tell(EventKind.WARNING, cell.state, WATCHDOG_LOST)
 
 
 @contextmanager
@@ -58,17 +100,23 @@ def alone(state_dir: Path) -> Generator[None]:
         yield
 
 
-async def run(config: CellConfig, driver: Driver) -> None:
+async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> None:
     """Run until SIGTERM or SIGINT; stop the arm before returning.
+
+    Args:
+        config: of the cell.
+        driver: of its arm.
+        brake: arguments of the watchdog's brake, which stops the arm in real time where the loop does not turn; without
+            them there is no watchdog.
 
     Raises:
         OSError: the endpoint or the state directory cannot be used.
     """
     with alone(config.cell.state_dir):
-        await _run(config, driver)
+        await _run(config, driver, brake)
 
 
-async def _run(config: CellConfig, driver: Driver) -> None:
+async def _run(config: CellConfig, driver: Driver, brake: Sequence[str]) -> None:
     loop = asyncio.get_running_loop()
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -87,13 +135,16 @@ async def _run(config: CellConfig, driver: Driver) -> None:
         raise
     try:
         plane = ControlPlane(cell, session)
-        async with attended(cell):
-            status = asyncio.create_task(plane.publish_status(), name="status")
-            _log.info("serving", cell=config.cell.id, endpoint=config.cell.endpoint, state=cell.state.value)
-            await ended.wait()
-            _log.info("ending", state=cell.state.value)
-        status.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await status
+        with guarded(cell, brake) as (notifier, beats):
+            async with attended(cell, beats):
+                status = asyncio.create_task(plane.publish_status(), name="status")
+                _log.info("serving", cell=config.cell.id, endpoint=config.cell.endpoint, state=cell.state.value)
+                notifier.send("READY=1")
+                await ended.wait()
+                _log.info("ending", state=cell.state.value)
+                notifier.send("STOPPING=1")
+            status.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await status
     finally:
         await asyncio.to_thread(close_session, session)

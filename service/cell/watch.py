@@ -1,6 +1,7 @@
 """The two tasks that attend a cell: one keeps the driver connected, one watches while no sample comes."""
 
 import asyncio
+from collections.abc import Callable, Sequence
 
 import structlog
 
@@ -12,9 +13,8 @@ from service.messages import CellState
 
 RECONNECT_S = 0.5
 PERIOD_S = 0.005
-OVERRUN_S = 0.02
-"""Lateness of one turn of the watch that counts as an overrun."""
 OVERRUNS_IN_A_ROW = 5
+"""Overruns without an ordinary turn between them at which a run is latched."""
 
 _log = structlog.get_logger("service.cell")
 
@@ -39,22 +39,23 @@ async def keep_linked(cell: Cell) -> None:
             await asyncio.sleep(RECONNECT_S)  # a link that breaks at once is not tried without pause
 
 
-async def keep_watch(cell: Cell) -> None:
-    """Check for silence and lateness in real time. In lockstep no time passes without samples, so this returns."""
+async def keep_watch(cell: Cell, beats: Sequence[Callable[[], None]] = ()) -> None:
+    """Check for silence and lateness in real time. In lockstep no time passes without samples, so this returns.
+
+    Args:
+        cell: to watch.
+        beats: called in every turn; whoever waits for them learns that the loop turns. They neither block nor raise.
+    """
     if cell.driver.mode == "lockstep":
         return
-    in_a_row = 0
     before = cell.driver.clock()
     well = True
     while True:
         await asyncio.sleep(PERIOD_S)
         now = cell.driver.clock()
-        late = now - before - PERIOD_S > OVERRUN_S
-        in_a_row = in_a_row + 1 if late else 0
-        cell.overruns += late
+        cell.lateness.note(now - before - PERIOD_S)
         before = now
-        if in_a_row >= OVERRUNS_IN_A_ROW and cell.state in WITH_RUN:
-            cell.halt(FaultCode.OVERRUN, f"the control loop was more than {OVERRUN_S * 1e3:g} ms late {in_a_row} times")
+        _judge_lateness(cell)
         try:
             cell.watch()
         except Exception as error:
@@ -65,3 +66,13 @@ async def keep_watch(cell: Cell) -> None:
             well = False
         else:
             well = True
+        for beat in beats:
+            beat()
+
+
+def _judge_lateness(cell: Cell) -> None:
+    lateness = cell.lateness
+    if lateness.in_a_row >= OVERRUNS_IN_A_ROW and cell.state in WITH_RUN:
+        limit_ms = lateness.limit_s * 1e3
+        text = f"the control loop was more than {limit_ms:g} ms late {lateness.in_a_row} times in a row"
+        cell.halt(FaultCode.OVERRUN, text)

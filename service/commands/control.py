@@ -56,6 +56,7 @@ def _run(cell: CellConfig, world: Simulator) -> None:
 
     from service.cell import process
     from service.commands.drivers import make_driver
+    from service.drivers.watchdog import brake_of
 
     driver = make_driver(cell)
     world.await_listening()
@@ -63,7 +64,7 @@ def _run(cell: CellConfig, world: Simulator) -> None:
     async def run() -> None:
         watch = asyncio.create_task(world.watch(), name="simulator")
         try:
-            await process.run(cell, driver)
+            await process.run(cell, driver, brake_of(cell))
         finally:
             watch.cancel()
 

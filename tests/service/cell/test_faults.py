@@ -316,25 +316,21 @@ async def test_by_default_a_run_goes_on_without_its_client(faulty_cell: FaultyCe
         assert (await faulty.bench.insert(EASY)).state is RunState.SUCCEEDED
 
 
-async def test_a_loop_that_is_late_again_and_again_latches_a_run_overrun(
-    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_50_a_loop_that_is_late_again_and_again_latches_a_run_overrun(faulty_cell: FaultyCell) -> None:
     async with faulty_cell(real_time=True) as faulty:
         run = await faulty.running()
-        monkeypatch.setattr(watch, "OVERRUN_S", -1.0)  # every turn counts as late
+        faulty.bench.cell.lateness.limit_s = -1.0  # every turn counts as late
         watching = asyncio.create_task(watch.keep_watch(faulty.bench.cell))
         ended = await faulty.assert_latched(run, FaultCode.OVERRUN)
         assert ended.state is RunState.LATCHED
         watching.cancel()
 
 
-async def test_a_loop_that_is_late_while_nothing_runs_is_counted_only(
-    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_50_a_loop_that_is_late_while_nothing_runs_is_counted_only(faulty_cell: FaultyCell) -> None:
     async with faulty_cell(real_time=True) as faulty:
-        monkeypatch.setattr(watch, "OVERRUN_S", -1.0)
+        faulty.bench.cell.lateness.limit_s = -1.0
         watching = asyncio.create_task(watch.keep_watch(faulty.bench.cell))
-        await faulty.bench.until(lambda: faulty.bench.cell.overruns > 2 * watch.OVERRUNS_IN_A_ROW)
+        await faulty.bench.until(lambda: faulty.bench.cell.lateness.overruns > 2 * watch.OVERRUNS_IN_A_ROW)
         assert faulty.bench.cell.state is CellState.READY
         assert faulty.bench.cell.journal.latch is None
         watching.cancel()

@@ -1,0 +1,194 @@
+"""The watchdog of a control process: a process of its own that stops the arm when the control loop falls silent.
+
+The loop sends one byte a turn through a pipe. While a run is under way, a silence longer than the limit stops the arm
+through a connection of the watchdog's own, and so does the end of the pipe: the control process hangs or was killed.
+`python -m service.drivers.watchdog` is the process; `Watchdog` is the loop's side.
+"""
+
+import contextlib
+import os
+import select
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from typing import Protocol, Self, assert_never
+
+import zenoh
+
+from service.config import CellConfig
+from service.drivers.sim_wire import CommandWriter
+from service.logs import log_writer
+from wire import keys
+from wire.session import open_session
+
+REPEAT_S = 0.05
+"""Time between two stops, s."""
+LAST_STOPS = 20
+"""Stops after the end of the pipe; a command may be lost."""
+CONNECT_S = 0.25
+_IDLE, _ARMED = b"\0", b"\1"
+
+
+class Brake(Protocol):
+    """A way to stop the arm. It may block for some tenths of a second, and never raises."""
+
+    def stop(self) -> None: ...
+
+
+class ZenohBrake:
+    """Stops a simulated cell by a session of its own.
+
+    Args:
+        world: name of the world in its keys.
+        endpoint: of its server.
+    """
+
+    def __init__(self, world: str, endpoint: str) -> None:
+        self._commands = CommandWriter()
+        self._session = open_session(connect=[endpoint])  # closed as soon as nobody refers to it
+        self._publisher = self._session.declare_publisher(
+            keys.COMMAND.format(world=world),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME,
+            express=True,
+        )
+
+    def stop(self) -> None:
+        with contextlib.suppress(zenoh.ZError):
+            self._publisher.put(self._commands.stop().tobytes())
+
+
+class DashboardBrake:
+    """Ends the program on a UR controller through its dashboard server.
+
+    Args:
+        host: address of the controller.
+        port: of its dashboard server.
+    """
+
+    def __init__(self, host: str, port: str) -> None:
+        self._address = host, int(port)
+
+    def stop(self) -> None:
+        with contextlib.suppress(OSError), socket.create_connection(self._address, timeout=CONNECT_S) as connection:
+            connection.recv(1024)  # the greeting
+            connection.sendall(b"stop\n")
+            connection.recv(1024)
+
+
+_BRAKES = {"zenoh": ZenohBrake, "dashboard": DashboardBrake}
+
+
+def brake_of(config: CellConfig) -> tuple[str, ...]:
+    """Return the arguments that name the brake of a cell's arm."""
+    match config.cell.driver:
+        case "zenoh_sim":
+            return "zenoh", config.sim.world, config.sim.endpoint
+        case "ur":
+            return () if config.ur is None else ("dashboard", config.ur.host, str(config.ur.dashboard_port))
+        case _ as never:
+            assert_never(never)
+
+
+class Watchdog:
+    """The control loop's side: keeps the watchdog quiet.
+
+    Args:
+        brake: arguments from `brake_of`.
+        limit_s: longest silence, s.
+
+    Raises:
+        OSError: no process can be made.
+    """
+
+    def __init__(self, brake: Sequence[str], limit_s: float) -> None:
+        read, self._write = os.pipe()
+        os.set_blocking(self._write, False)
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "service.drivers.watchdog", str(read), str(limit_s), *brake],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=(read,),
+                start_new_session=True,  # it outlives this process by some stops
+            )
+        finally:
+            os.close(read)
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()  # the loop has ended as it should: there is nothing left to watch
+        self._process.wait()
+        os.close(self._write)
+
+    def beat(self, *, armed: bool) -> bool:
+        """Tell that the loop turns; return False once the watchdog has ended. It neither blocks nor raises.
+
+        Args:
+            armed: a run is under way, so a silence from now on stops the arm.
+        """
+        try:
+            os.write(self._write, _ARMED if armed else _IDLE)
+        except BlockingIOError:
+            return True  # it has enough to read
+        except OSError:
+            return False
+        return True
+
+
+def guard(handle: int, limit_s: float, brake: Brake) -> None:
+    """Stop the arm whenever the beats stop while armed; return at the end of the pipe.
+
+    Args:
+        handle: of the pipe.
+        limit_s: longest silence, s.
+        brake: of the arm.
+    """
+    armed = tripped = False
+    while True:
+        patience_s = None if not armed else REPEAT_S if tripped else limit_s
+        if not select.select([handle], [], [], patience_s)[0]:
+            brake.stop()
+            if not tripped:
+                _report(f"watchdog: no sign of the control loop for {limit_s:g} s in a run: the arm is stopped")
+            tripped = True
+        elif beats := os.read(handle, 65_536):
+            armed = beats.endswith(_ARMED)
+            tripped = False
+        else:
+            break
+    if armed:
+        for _ in range(LAST_STOPS):
+            brake.stop()
+            time.sleep(REPEAT_S)
+        _report("watchdog: the control process ended in a run: the arm was stopped")
+
+
+def _report(text: str) -> None:
+    log_writer().put(f"{text}\n")
+
+
+def main(handle: str, limit_s: str, kind: str, *where: str) -> None:
+    """Watch over a control loop.
+
+    Args:
+        handle: number of the inherited pipe.
+        limit_s: longest silence, s.
+        kind: of brake.
+        *where: arguments of the brake.
+    """
+    guard(int(handle), float(limit_s), _BRAKES[kind](*where))
+    log_writer().drain()
+    os._exit(0)  # an unclosed session may hang the interpreter's own exit
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
