@@ -35,6 +35,8 @@ STATUS_OF_REASON: dict[RefusalReason, int] = {
     RefusalReason.NO_MEASUREMENT: 409,
     RefusalReason.POLICY_REFUSED: 422,
     RefusalReason.STORAGE: 503,
+    RefusalReason.UNKNOWN_SENDER: 503,
+    RefusalReason.REPLAYED: 409,
     RefusalReason.INTERNAL: 500,
 }
 

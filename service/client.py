@@ -9,6 +9,9 @@ Examples:
 """
 
 import asyncio
+import contextlib
+import os
+import socket
 import time
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
@@ -19,11 +22,22 @@ import zenoh
 from pydantic import TypeAdapter, ValidationError
 
 from service import messages
+from service.envelope import (
+    ENVELOPE_VERSION,
+    QUERY_TICKET,
+    TICKET_ANSWER,
+    TICKET_IDLE_S,
+    Envelope,
+    Presence,
+    TicketRequest,
+    TicketResult,
+)
 from service.messages import (
     CellState,
     Event,
     Message,
     Problem,
+    RefusalReason,
     Refused,
     ResetRequest,
     Run,
@@ -42,6 +56,8 @@ SILENCE_S = 0.5
 """Age of the last heartbeat at which a cell counts as silent: ten heartbeats."""
 QUEUE_LENGTH = 256
 """Messages held for a slow subscriber; beyond it the oldest is dropped."""
+TICKET_S = 1.0
+"""Longest wait for a ticket, s."""
 
 
 T = TypeVar("T")
@@ -73,6 +89,7 @@ class CellClient:
         clock: monotonic seconds, for the heartbeat's age.
         time_of_day: seconds since the Unix epoch, for the `valid_until` of a start. It must agree with the cell's to
             within a few seconds.
+        sender: name of this program in the cell's record; None: its process and host.
     """
 
     def __init__(
@@ -81,8 +98,12 @@ class CellClient:
         connect: Sequence[str],
         clock: Callable[[], float] = time.monotonic,
         time_of_day: Callable[[], float] = time.time,
+        sender: str | None = None,
     ) -> None:
         self._cell = cell
+        self._sender = sender or f"process {os.getpid()} on {socket.gethostname()[:64]}"
+        self._ticket: TicketResult | None = None
+        self._number = 0
         self._connect = tuple(connect)
         self._clock = clock
         self._time_of_day = time_of_day
@@ -135,7 +156,7 @@ class CellClient:
         """
         if request.valid_until is None:
             request = request.model_copy(update={"valid_until": self._time_of_day() + timeout_s})
-        return _unwrap(await self._ask(messages.START, request, messages.RUN_ANSWER, timeout_s))
+        return _unwrap(await self._command(messages.START, request, messages.RUN_ANSWER, timeout_s))
 
     async def stop(self, request: StopRequest, timeout_s: float = 1.0) -> Status:
         """Stop whatever moves; the answer comes once the stop command has left.
@@ -143,7 +164,8 @@ class CellClient:
         Raises:
             CellSilentError: no answer in time.
         """
-        return _unwrap(await self._ask(messages.STOP, request, messages.STATUS_ANSWER, timeout_s)).status
+        envelope = self._enveloped(request)  # without a ticket where there is none: a stop waits for nothing
+        return _unwrap(await self._ask(messages.STOP, envelope, messages.STATUS_ANSWER, timeout_s)).status
 
     async def reset(self, request: ResetRequest, timeout_s: float = 5.0) -> Status:
         """Acknowledge the latched fault; nothing moves.
@@ -152,7 +174,7 @@ class CellClient:
             CellRefusedError: nothing is latched, another code is in force, force is above the limit, no fresh samples.
             CellSilentError: no answer in time.
         """
-        return _unwrap(await self._ask(messages.RESET, request, messages.STATUS_ANSWER, timeout_s)).status
+        return _unwrap(await self._command(messages.RESET, request, messages.STATUS_ANSWER, timeout_s)).status
 
     # --- queries
 
@@ -232,11 +254,45 @@ class CellClient:
         publisher = session.declare_publisher(
             messages.CLIENT.format(cell=self._cell), congestion_control=zenoh.CongestionControl.DROP, express=True
         )
+        said_at = self._clock()
         while True:
-            publisher.put(b"")
+            if self._clock() - said_at > TICKET_IDLE_S:
+                self._ticket = None  # this process was frozen, and the ticket may have been withdrawn
+            if self._ticket is None:
+                with contextlib.suppress(CellError):
+                    await self._draw_ticket(TICKET_S)
+            if self._ticket is not None:
+                said_at = self._clock()
+                publisher.put(self._enveloped(Presence()).model_dump_json().encode())
             await asyncio.sleep(messages.CLIENT_HEARTBEAT_S)
 
+    async def _draw_ticket(self, timeout_s: float) -> None:
+        answer = await self._ask(QUERY_TICKET, TicketRequest(sender=self._sender), TICKET_ANSWER, timeout_s)
+        self._ticket = _unwrap(answer)
+
+    def _enveloped(self, request: Message) -> Envelope[Message]:
+        self._number += 1
+        ticket = None if self._ticket is None else self._ticket.ticket
+        return Envelope(
+            schema_version=ENVELOPE_VERSION, sender=self._sender, ticket=ticket, number=self._number, request=request
+        )
+
+    async def _command(
+        self, key: str, request: Message, answer: TypeAdapter[T | Refused], timeout_s: float
+    ) -> T | Refused:
+        """Send a command under a ticket; a second time if the control process no longer knows the ticket."""
+        deadline = time.monotonic() + timeout_s
+        if self._ticket is None:
+            await self._draw_ticket(timeout_s)
+        answered = await self._ask(key, self._enveloped(request), answer, deadline - time.monotonic())
+        if not isinstance(answered, Refused) or answered.problem.reason is not RefusalReason.UNKNOWN_SENDER:
+            return answered
+        await self._draw_ticket(deadline - time.monotonic())
+        return await self._ask(key, self._enveloped(request), answer, deadline - time.monotonic())
+
     def _on_status(self, status: Status) -> None:
+        if self._ticket is not None and self._ticket.service_epoch != status.service_epoch:
+            self._ticket = None  # of an earlier process
         self._status, self._heard_at = status, self._clock()
         _offer(self._status_queues, status)
 
@@ -244,15 +300,18 @@ class CellClient:
         self, session: zenoh.Session, key: str, model: type[MessageT], deliver: Callable[[MessageT], None]
     ) -> None:
         loop = asyncio.get_running_loop()
+        own = key.format(cell=self._cell)
 
         def on_sample(sample: zenoh.Sample) -> None:
+            if str(sample.key_expr) != own:
+                return  # the cell names its keys; a wildcard is somebody else's
             try:
                 message = model.model_validate_json(sample.payload.to_bytes())
             except ValidationError:
                 return  # a message of another version is no heartbeat, so the cell becomes UNKNOWN
             call_in_loop(loop, deliver, message)
 
-        session.declare_subscriber(key.format(cell=self._cell), on_sample)
+        session.declare_subscriber(own, on_sample)
 
     async def _ask(self, key: str, request: Message | None, answer: TypeAdapter[T], timeout_s: float) -> T:
         if self._session is None:

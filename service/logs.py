@@ -12,6 +12,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TextIO
 
 import structlog
@@ -143,7 +144,7 @@ class QueuedHandler(logging.Handler):
 class _EventLogger:
     """Takes structlog's events; formatting is left to the writer's thread."""
 
-    def __init__(self, writer: LogWriter) -> None:
+    def __init__(self, writer: LogWriter, *_: object) -> None:
         self._writer = writer
 
     def msg(self, **event: Any) -> None:
@@ -196,10 +197,14 @@ def log_fault() -> str | None:
     return None if _writer is None else _writer.fault
 
 
-def configure_logs() -> None:
-    """Send structlog's events, and what the standard library's loggers report, to standard error."""
-    writer = log_writer()
-    structlog.configure(processors=_MARKS, logger_factory=lambda *_: _EventLogger(writer))
+def configure_logs(writer: LogWriter | None = None) -> None:
+    """Send structlog's events, and what the standard library's loggers report, to one target.
+
+    Args:
+        writer: of the target; None: standard error.
+    """
+    writer = writer or log_writer()
+    structlog.configure(processors=_MARKS, logger_factory=partial(_EventLogger, writer))
     handler = QueuedHandler(writer)
     handler.setFormatter(logging.Formatter("%(asctime)s [%(levelname)s] %(message)s %(name)s"))
     logging.getLogger().handlers = [handler]

@@ -2,17 +2,19 @@
 
 | key | kind | request | answer or payload |
 |---|---|---|---|
-| `command/start` | query | `StartRequest` | `RunAnswer` |
-| `command/stop` | query | `StopRequest` | `StatusAnswer` |
-| `command/reset` | query | `ResetRequest` | `StatusAnswer` |
+| `command/start` | query | `StartRequest` in an `Envelope` | `RunAnswer` |
+| `command/stop` | query | `StopRequest` in an `Envelope` | `StatusAnswer` |
+| `command/reset` | query | `ResetRequest` in an `Envelope` | `StatusAnswer` |
+| `query/ticket` | query | `TicketRequest` | `TicketResult`, or `Refused` |
 | `query/status` | query | empty | `StatusAnswer` |
 | `query/runs` | query | `RunsRequest` | `RunsAnswer` |
 | `query/run` | query | `RunRequest` | `RunAnswer` |
 | `status` | publication, `HEARTBEAT_S`, which is also the heartbeat | | `Status` |
 | `event` | publication, as they happen | | `Event` |
 | `telemetry` | publication, about 50 Hz | | `Telemetry` |
-| `client` | subscription: every client, every `CLIENT_HEARTBEAT_S` | | anything |
+| `client` | subscription: every client, every `CLIENT_HEARTBEAT_S` | | `Presence` in an `Envelope` |
 
+`service/envelope.py` has the envelope and the tickets. A query by a wildcard is a reading: it commands nothing.
 `docs/reference/frames.md` defines frames, units and signs. Times of day are seconds since the Unix epoch.
 """
 
@@ -93,6 +95,10 @@ class RefusalReason(StrEnum):
     POLICY_REFUSED = "POLICY_REFUSED"
     STORAGE = "STORAGE"
     """The state directory cannot be written."""
+    UNKNOWN_SENDER = "UNKNOWN_SENDER"
+    """The command has no ticket of this control process, or one of another sender."""
+    REPLAYED = "REPLAYED"
+    """The command is a copy of an earlier one."""
     INTERNAL = "INTERNAL"
 
 

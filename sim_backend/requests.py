@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, cast
 
 import zenoh
@@ -32,16 +32,42 @@ def query_keys(world: str, queries: Mapping[str, str]) -> dict[str, zenoh.KeyExp
     return {name: zenoh.KeyExpr(key.format(world=world)) for name, key in queries.items()}
 
 
-def asked(query: zenoh.Query, keys: Mapping[str, zenoh.KeyExpr]) -> str:
-    """Return the name of the query that a client asks.
+def asked(query: zenoh.Query, keys: Mapping[str, zenoh.KeyExpr], readings: Collection[str]) -> str:
+    """Return the name of the query that a client asks. A wildcard may name a reading; what changes a world, it may not.
+
+    Args:
+        query: the client's.
+        keys: the world's queries by name.
+        readings: names of the queries that change nothing.
 
     Raises:
-        RequestError: the query's key matches none of `keys`, or several.
+        RequestError: the query's key matches none of `keys` or several, or is not the own key of what it would change.
     """
     names = [name for name, key in keys.items() if query.key_expr.intersects(key)]
     if len(names) != 1:
         raise RequestError(f"{query.key_expr} names {len(names)} queries, ask one of {', '.join(keys)}")
-    return names[0]
+    name = names[0]
+    if name not in readings and str(query.key_expr) != str(keys[name]):
+        raise RequestError(f"{name}: a wildcard reads, it changes nothing; ask {keys[name]}")
+    return name
+
+
+def read_parameters(text: str, form: str, *names: str) -> dict[str, str]:
+    """Read the parameters of a request, `name=value` with a semicolon between them.
+
+    Args:
+        text: the parameters.
+        form: what they must be, for the error.
+        *names: the known ones.
+
+    Raises:
+        RequestError: a parameter is unknown, or stands twice.
+    """
+    parts = [part for part in text.split(";") if part]
+    parameters = {name: value for name, _, value in (part.partition("=") for part in parts)}
+    if len(parameters) != len(parts) or not parameters.keys() <= set(names):
+        raise RequestError(f"parameters must be {form}, not {text[:80]!r}")
+    return parameters
 
 
 def read_object(payload: bytes, request: str) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 MAGIC = 0x4C534444  # "DDSL" in the byte order of the wire
-VERSION = 1
+VERSION = 2
 TICK_S = 0.002
 """Period of the cell's control law and its state messages: the 500 Hz of a UR e-Series controller."""
 
@@ -29,12 +29,14 @@ class Kind(IntEnum):
     TARGET = 3
     """A TCP pose target. Ignored unless engaged, and unless its `seq` is above every earlier one of this client."""
     STOP = 4
-    """Decelerate, hold and disengage. Accepted from anyone, in any state."""
+    """Decelerate, hold and disengage. Accepted in any state, and from anyone while no holder is heard."""
     ZERO_FT = 5
     """Take the average of the latest wrenches as the zero, as `zero_ftsensor()` does. Refused while engaged."""
     UNLOCK = 6
     """Leave the protective stop; an operator's action."""
     CAMERA = 7
+    STOP_BLIND = 8
+    """As STOP, without yielding to the force/torque sensor meanwhile: its reading is not believed."""
 
 
 class Program(IntEnum):
@@ -87,13 +89,15 @@ STATE = np.dtype(
         ("hole_estimate", "<f8", 3),  # the camera's estimate of the centre of the hole's mouth; NaN without one
         ("peak_force", "<f8"),  # largest resultant of the compensated force since ENGAGE, seen by the controller, N
         ("command_seq", "<u8"),  # last command accepted
-        ("client", "<u8"),  # client of the last ENGAGE
+        ("client", "<u8"),  # number of the claim of the last ENGAGE
         ("program", "<u2"),
         ("stop_reason", "<u2"),
         ("robot_mode", "<i2"),  # UR numbering; 7 is running
         ("safety_mode", "<i2"),  # UR numbering; 1 normal, 3 protective stop
         ("saturated", "<u2"),  # 1 if a raw channel is at the end of the sensor's range
         ("reserved", "V6"),
+        ("unzeroed", "<f8", 6),  # as wrench, but without any zero: the raw reading less the payload's weight
+        ("joint_force", "<f8", 3),  # force on the tool as the joints' drives feel it, base axes, N; coarse
     ],
     align=False,
 )
@@ -101,7 +105,7 @@ STATE = np.dtype(
 COMMAND = np.dtype(
     [
         *_HEADER,
-        ("client", "<u8"),  # identity of the sender, drawn at random
+        ("client", "<u8"),  # word of the sender's claim
         ("epoch", "<u8"),  # intended world; other worlds ignore the command. STOP is accepted with any epoch
         ("seq", "<u8"),
         ("position", "<f8", 3),  # TARGET

@@ -10,6 +10,7 @@ from benchmarks.harness.processes import free_port, running
 from benchmarks.harness.result import Result, median
 from service.drivers.base import PoseTarget
 from service.drivers.sim_wire import CommandWriter
+from service.drivers.world_hold import WorldHold
 from service.program import MODULE
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire import keys, records
@@ -42,11 +43,17 @@ def measure(scale: float) -> Result:
     with running(MODULE, "sim", "serve", "--world", WORLD, "--mode", "lockstep", "--listen", endpoint):
         session = open_session(connect=[endpoint])
         try:
+            hold = WorldHold(WORLD, WORLD, "")
+            until_answered(session, keys.INFO.format(world=WORLD))
+            hold.granted(answer(session, hold.selector, hold.claimant))
+            commands = CommandWriter()  # one for both rows: the world takes no number twice
+            commands.client = hold.word
             for each in (1, POLICY_TICKS):
-                selector = f"{keys.ADVANCE.format(world=WORLD)}?ticks={each}"
-                until_answered(session, selector)
-                text = "world over Zenoh, arm engaged"
-                rows.append((text, each, _time(ticks, each, lambda p, s=selector: answer(session, s, p))))
+
+                def advance(payload: bytes | None, each: int = each) -> bytes:
+                    return answer(session, hold.signed(keys.ADVANCE, f"ticks={each}"), payload)
+
+                rows.append(("world over Zenoh, arm engaged", each, _time(ticks, each, advance, commands)))
         finally:
             close_session(session)
     speeds = [each * TICK_S / span for _, each, span in rows]
@@ -74,12 +81,11 @@ def _in_process(ticks: int) -> float:
                 cell.apply(command)
         return cell.tick().tobytes()
 
-    return _time(ticks, 1, advance)
+    return _time(ticks, 1, advance, CommandWriter())
 
 
-def _time(ticks: int, each: int, advance: Callable[[bytes | None], bytes]) -> float:
+def _time(ticks: int, each: int, advance: Callable[[bytes | None], bytes], commands: CommandWriter) -> float:
     """Return the median seconds per call while `ticks` pass, `each` per call, with the arm following targets."""
-    commands = CommandWriter()
     state = records.decode(advance(None), records.STATE)[-1:]
     commands.epoch = int(state["epoch"][0])
     position, rotvec = state["tcp_position"][0].copy(), state["tcp_rotvec"][0].copy()

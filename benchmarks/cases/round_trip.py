@@ -10,6 +10,7 @@ from benchmarks.harness.exchange import TIMEOUT_S, answer, spans, until_answered
 from benchmarks.harness.processes import free_port, running
 from benchmarks.harness.result import QUANTILES, Result, median, quantiles
 from benchmarks.stands.echo import ASK, PING, PONG
+from service.drivers.world_hold import WorldHold
 from service.program import MODULE
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire import keys
@@ -37,9 +38,10 @@ def measure(scale: float) -> Result:
     with running(MODULE, "sim", "serve", "--world", WORLD, "--mode", "lockstep", "--listen", endpoint):
         session = open_session(connect=[endpoint])
         try:
-            selector = keys.ADVANCE.format(world=WORLD) + "?ticks=1"
-            until_answered(session, selector)
-            advanced = spans(count, lambda: answer(session, selector))
+            hold = WorldHold(WORLD, WORLD, "")
+            until_answered(session, keys.INFO.format(world=WORLD))
+            hold.granted(answer(session, hold.selector, hold.claimant))
+            advanced = spans(count, lambda: answer(session, hold.signed(keys.ADVANCE, "ticks=1")))
         finally:
             close_session(session)
     cell = SimulatedCell()

@@ -75,6 +75,8 @@ class _Newest:
     def on_link_fault(self, code: FaultCode, text: str) -> None:
         raise SystemExit(f"{code}: {text}")
 
+    def on_notice(self, text: str) -> None: ...
+
 
 async def driver() -> None:
     """Engage the control program at the arm's present pose, and keep sending it that pose as the target."""

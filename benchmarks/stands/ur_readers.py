@@ -81,6 +81,8 @@ async def _driver(seconds: float) -> str:
         def on_link_fault(self, code: FaultCode, text: str) -> None:
             raise SystemExit(f"{code}: {text}")
 
+        def on_notice(self, text: str) -> None: ...
+
     await UrDriver(load()).connect(Sink())
     return await _watched(seen, seconds)
 

@@ -63,6 +63,10 @@ class PointMassDriver:
         """Never block, never raise, in any state. Where a stop has to wait for a socket, a thread does the waiting."""
         self._arm.stop(StopReason.COMMAND)
 
+    def stop_blind(self) -> None:
+        """Stop without yielding to the sensor: the cell does not believe it. This arm never yields to it in a stop."""
+        self.stop()
+
     def escalate(self) -> None:
         """Called when no standstill was measured after `stop`; this arm has nothing stronger."""
         self.stop()
@@ -103,6 +107,9 @@ class PointMassDriver:
             tcp_rotvec=arm.rotvec.copy(),
             tcp_velocity=np.array([*arm.velocity, 0.0, 0.0, 0.0]),
             wrench=arm.wrench(),
+            unzeroed=arm.unzeroed,
+            ft_raw=arm.unzeroed,  # this sensor's axes are the base's
+            joint_force=None,  # this arm has no second witness of the contact
             saturated=False,
             hole_estimate=arm.hole + CAMERA_ERROR_M,
             program=arm.program,

@@ -36,6 +36,8 @@ class PointMassArm:
         self._target_s = 0.0
         self._random = np.random.default_rng(0)
         self._bias = np.array([1.0, -0.5, 2.0, 0.02, 0.01, 0.0])  # why the cell zeroes the sensor before each run
+        self._zero = np.zeros(6)
+        self._read()
 
     def engage(self, law: ComplianceLaw, limits: ControlLimits, now_s: float) -> None:
         """Start the control program; the target is the present pose."""
@@ -54,12 +56,12 @@ class PointMassArm:
             self.stop(StopReason.TARGET_REJECTED)
 
     def wrench(self) -> FloatArray:
-        """Read the sensor, (6,) N and N·m."""
-        return np.array([*self.force, 0.0, 0.0, 0.0]) + self._bias + self._random.normal(0.0, NOISE)
+        """Return the zeroed reading, (6,) N and N·m."""
+        return self.unzeroed - self._zero
 
     def zero(self) -> None:
         """Take the present reading as zero."""
-        self._bias = self._bias - self.wrench()
+        self._zero = self.unzeroed
 
     def stop(self, reason: StopReason) -> None:
         """Hold where it is. A point mass stands at once; a real arm decelerates and reports STOPPING."""
@@ -70,6 +72,7 @@ class PointMassArm:
     def tick(self, now_s: float) -> None:
         """Let one tick pass."""
         self.force = self._touch()
+        self._read()
         self.peak_force_n = max(self.peak_force_n, float(np.linalg.norm(self.force)))
         if self.program is not Program.ENGAGED:
             return
@@ -84,6 +87,9 @@ class PointMassArm:
             speed = float(np.linalg.norm(self.velocity))
             self.velocity = self.velocity * min(1.0, self.limits.max_speed[0] / max(speed, 1e-9))
             self.position = self.position + self.velocity * TICK_S
+
+    def _read(self) -> None:
+        self.unzeroed = np.array([*self.force, 0.0, 0.0, 0.0]) + self._bias + self._random.normal(0.0, NOISE)
 
     def _touch(self) -> FloatArray:
         """Force of the block on the tool, (3,) N: of the surface, or of the hole's wall."""

@@ -19,6 +19,7 @@ from service.cell.journal import Journal
 from service.cell.lateness import Lateness
 from service.cell.orders import Fail
 from service.cell.policy_process import PolicyProcess
+from service.cell.remarks import Remarks
 from service.cell.resetting import Resetting
 from service.cell.runs import Runs, ended_by
 from service.cell.standstill import Standstill
@@ -46,6 +47,8 @@ from service.safety.stop import StopState
 
 LINK_FAULTS = frozenset({FaultCode.STALE, FaultCode.LINK, FaultCode.SOURCE, FaultCode.PROTOCOL})
 """Faults of the link to the arm: while nothing runs they mean OFFLINE and another attempt, not a latch."""
+DISBELIEVED = frozenset({FaultCode.SENSOR_INVALID, FaultCode.SENSOR_STUCK, FaultCode.BIAS})
+"""Faults after which the arm must not yield to its force/torque sensor while it stops."""
 JOURNAL_CLOSE_S = 0.5
 UNCONFIRMED = "no standstill was measured in time after the stop: use the robot's own emergency stop."
 TELEMETRY_TICKS = 10
@@ -99,6 +102,7 @@ class Cell:
         self._starting = Starting(config, driver, opener, self.journal, self.runs, self._intake, self)
         self._resetting = Resetting(config.limits, driver, self.journal, self._intake, self)
         self._states = StateMachine(CellState.OFFLINE if self.journal.latch is None else CellState.LATCHED)
+        self._remarks = Remarks(lambda text: self.journal.tell(EventKind.WARNING, self.state, text), driver.clock)
         self._link_text = "not connected yet"
         self._status_seq = 0
         self._client_heard_at = 0.0
@@ -126,6 +130,10 @@ class Cell:
         """Halt: the driver does not trust its link."""
         if not self._starting.preparing or code is not FaultCode.STALE:
             self.halt(code, text)
+
+    def on_notice(self, text: str) -> None:
+        """Write a line about something that had no effect: a refused command, say. A flood is thinned out."""
+        self._remarks.note(text)
 
     def _take(self, sample: Sample) -> None:
         if self._starting.preparing:
@@ -165,7 +173,7 @@ class Cell:
         """Stop at once and latch, if there is anything to stop. A later fault does not replace the first."""
         state = self.state
         if state in WITH_RUN or state is CellState.READY:
-            self.driver.stop()
+            (self.driver.stop_blind if code in DISBELIEVED else self.driver.stop)()
         if state in WITH_RUN or (state is CellState.READY and code not in LINK_FAULTS):
             self._begin_stop(code, text)
         elif code in LINK_FAULTS:

@@ -5,17 +5,20 @@ out in the turn of the loop in which it arrives, even while other queries wait.
 """
 
 import asyncio
+import threading
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from typing import TypeVar
 
 import structlog
 import zenoh
-from pydantic import ValidationError
 
 from service import messages
 from service.cell.admission import refused
 from service.cell.cell import Cell
+from service.cell.reception import NotACommandError, Reception, read
 from service.cell.tick_record import TickRecord
+from service.envelope import QUERY_TICKET, TicketRequest, TicketResult
 from service.messages import (
     Event,
     Message,
@@ -28,7 +31,6 @@ from service.messages import (
     RunsResult,
     StartRequest,
     StatusResult,
-    StopRequest,
     Telemetry,
 )
 from wire.session import call_in_loop
@@ -37,8 +39,39 @@ MAX_REQUEST_BYTES = 16_384
 MAX_OPEN_QUERIES = 64
 """Largest number of requests that wait for their answer; more are refused. A stop is not counted."""
 
+MAX_BACKLOG = 256
+"""Largest number of messages of one key that wait for the loop: more are refused before they reach it."""
+
 RequestT = TypeVar("RequestT", bound=Message)
-Handler = Callable[[zenoh.Query, bytes], None]
+CommandT = TypeVar("CommandT", StartRequest, ResetRequest)
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """One query.
+
+    Attributes:
+        query: to reply to.
+        key: under which it is served; the query itself may name a wildcard.
+        payload: the request.
+    """
+
+    query: zenoh.Query
+    key: str
+    payload: bytes
+
+    @property
+    def named(self) -> str:
+        """The key expression that the query names."""
+        return str(self.query.key_expr)
+
+    @property
+    def may_command(self) -> bool:
+        """True if it names its own key and is not empty."""
+        return self.named == self.key and bool(self.payload)
+
+
+Handler = Callable[[Asked], None]
 
 _log = structlog.get_logger("service.control_plane")
 
@@ -56,18 +89,18 @@ class ControlPlane:
         self._id = cell.config.cell.id
         self._loop = asyncio.get_running_loop()
         self._tasks: set[asyncio.Task[None]] = set()
+        self._reception = Reception(cell.on_notice)
         self._status = self._publisher(session, messages.STATUS, zenoh.Priority.INTERACTIVE_HIGH)
         self._event = self._publisher(session, messages.EVENT, zenoh.Priority.DATA)
         self._telemetry = self._publisher(session, messages.TELEMETRY, zenoh.Priority.DATA_LOW)
         self._serve(session, messages.STOP, self._on_stop)
-        self._serve(session, messages.START, self._answering(StartRequest, self._start))
-        self._serve(session, messages.RESET, self._answering(ResetRequest, self._reset))
+        self._serve(session, messages.START, self._commanded(StartRequest, self._start))
+        self._serve(session, messages.RESET, self._commanded(ResetRequest, self._reset))
+        self._serve(session, QUERY_TICKET, self._answering(TicketRequest, self._ticket))
         self._serve(session, messages.QUERY_STATUS, self._on_status)
         self._serve(session, messages.QUERY_RUNS, self._answering(RunsRequest, self._runs))
         self._serve(session, messages.QUERY_RUN, self._answering(RunRequest, self._run))
-        session.declare_subscriber(
-            messages.CLIENT.format(cell=self._id), lambda _sample: call_in_loop(self._loop, cell.hear_client)
-        )
+        self._hear(session, messages.CLIENT)
         cell.journal.observers.append(self)
 
     async def publish_status(self) -> None:
@@ -95,16 +128,20 @@ class ControlPlane:
 
     # --- requests
 
-    def _on_stop(self, query: zenoh.Query, payload: bytes) -> None:
-        # A request that cannot be read stops, too.
+    def _on_stop(self, asked: Asked) -> None:
         try:
-            request = StopRequest.model_validate_json(payload or b"{}")
-        except ValidationError:
-            request = StopRequest(reason="the request could not be read")
-        self._reply(query, self._cell.stop(request))
+            request = self._reception.stop(asked.named, asked.key, asked.payload)
+        except NotACommandError as error:
+            self._reply(asked, self._refused(error.reason, str(error), error.field))
+        else:
+            self._reply(asked, self._cell.stop(request))
 
-    def _on_status(self, query: zenoh.Query, payload: bytes) -> None:
-        self._reply(query, StatusResult(status=self._cell.status()))
+    def _on_status(self, asked: Asked) -> None:
+        self._reply(asked, StatusResult(status=self._cell.status()))
+
+    async def _ticket(self, request: TicketRequest) -> Message:
+        ticket = self._reception.draw_ticket(request)
+        return TicketResult(ticket=ticket, service_epoch=self._cell.journal.epoch)
 
     async def _start(self, request: StartRequest) -> Message:
         return await self._cell.start(request)
@@ -121,40 +158,79 @@ class ControlPlane:
             return self._refused(RefusalReason.UNKNOWN_RUN, f"no run {request.run_id!r}", "run_id")
         return RunResult(run=run, created=False)
 
+    def _commanded(self, model: type[CommandT], answer: Callable[[CommandT], Awaitable[Message]]) -> Handler:
+        return self._reading(
+            lambda asked: self._reception.command(asked.named, asked.key, asked.payload, model), answer
+        )
+
     def _answering(self, model: type[RequestT], answer: Callable[[RequestT], Awaitable[Message]]) -> Handler:
-        def handle(query: zenoh.Query, payload: bytes) -> None:
+        return self._reading(lambda asked: read(asked.payload or b"{}", model), answer)
+
+    def _reading(
+        self, read_request: Callable[[Asked], RequestT], answer: Callable[[RequestT], Awaitable[Message]]
+    ) -> Handler:
+        def handle(asked: Asked) -> None:
             if len(self._tasks) >= MAX_OPEN_QUERIES:
-                self._reply(query, self._refused(RefusalReason.INTERNAL, "too many requests are waiting: try again"))
+                self._refuse_for_load(asked)
                 return
             try:
-                request = model.model_validate_json(payload or b"{}")
-            except ValidationError as error:
-                first = error.errors()[0]
-                field = ".".join(str(part) for part in first["loc"])
-                self._reply(query, self._refused(RefusalReason.INVALID_REQUEST, f"{field}: {first['msg']}", field))
+                request = read_request(asked)
+            except NotACommandError as error:
+                self._reply(asked, self._refused(error.reason, str(error), error.field))
                 return
-            task = self._loop.create_task(self._carry_out(query, answer(request)))
+            task = self._loop.create_task(self._carry_out(asked, answer(request)))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
         return handle
 
-    async def _carry_out(self, query: zenoh.Query, answer: Awaitable[Message]) -> None:
+    async def _carry_out(self, asked: Asked, answer: Awaitable[Message]) -> None:
         try:
             message = await answer
+        except NotACommandError as error:
+            message = self._refused(error.reason, str(error), error.field)
         except Exception as error:
-            _log.exception("request", key=str(query.key_expr))
+            _log.exception("request", key=asked.key)
             message = self._refused(RefusalReason.INTERNAL, f"{type(error).__name__}: {error}")
-        self._reply(query, message)
+        self._reply(asked, message)
 
     # --- the wire
 
     def _serve(self, session: zenoh.Session, key: str, handle: Handler) -> None:
+        own = key.format(cell=self._id)
+        room = threading.Semaphore(MAX_BACKLOG)
+
+        def in_loop(asked: Asked) -> None:
+            room.release()
+            handle(asked)
+
         def on_query(query: zenoh.Query) -> None:
             payload = b"" if query.payload is None else query.payload.to_bytes()
-            call_in_loop(self._loop, handle, query, payload if len(payload) <= MAX_REQUEST_BYTES else b"too long")
+            asked = Asked(query, own, payload if len(payload) <= MAX_REQUEST_BYTES else b"too long")
+            if room.acquire(blocking=False):
+                call_in_loop(self._loop, in_loop, asked)
+            elif key == messages.STOP and asked.may_command:  # a flood of others keeps no stop out
+                call_in_loop(self._loop, handle, asked)
+            else:
+                self._refuse_for_load(asked)
 
-        session.declare_queryable(key.format(cell=self._id), on_query, complete=True)
+        session.declare_queryable(own, on_query, complete=True)
+
+    def _hear(self, session: zenoh.Session, key: str) -> None:
+        own = key.format(cell=self._id)
+        room = threading.Semaphore(MAX_BACKLOG)
+
+        def in_loop(heard: str, payload: bytes) -> None:
+            room.release()
+            if self._reception.presence(heard, own, payload):
+                self._cell.hear_client()
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            payload = sample.payload.to_bytes()
+            if len(payload) <= MAX_REQUEST_BYTES and room.acquire(blocking=False):
+                call_in_loop(self._loop, in_loop, str(sample.key_expr), payload)
+
+        session.declare_subscriber(own, on_sample)
 
     def _publisher(self, session: zenoh.Session, key: str, priority: zenoh.Priority) -> zenoh.Publisher:
         return session.declare_publisher(
@@ -170,12 +246,15 @@ class ControlPlane:
         except zenoh.ZError:
             self._cell.telemetry_dropped += 1
 
-    def _reply(self, query: zenoh.Query, message: Message) -> None:
-        with query:
+    def _reply(self, asked: Asked, message: Message) -> None:
+        with asked.query as query:
             try:
-                query.reply(query.key_expr, message.model_dump_json().encode(), express=True)
+                query.reply(asked.key, message.model_dump_json().encode(), express=True)
             except zenoh.ZError as error:
-                _log.warning("reply", key=str(query.key_expr), error=str(error))
+                _log.warning("reply", key=asked.key, error=str(error))
+
+    def _refuse_for_load(self, asked: Asked) -> None:
+        self._reply(asked, self._refused(RefusalReason.INTERNAL, "too many requests are waiting: try again"))
 
     def _refused(self, reason: RefusalReason, detail: str, field: str | None = None) -> Refused:
         return refused(self._cell.state, reason, detail, field)

@@ -16,6 +16,7 @@ from service.cell.arm_stops import why_not_drive
 from service.cell.orders import Disengage, Engage, Fail, Halt, Infer, Move, Order, Succeed, ZeroFt
 from service.cell.path import Progress, StraightPath
 from service.cell.plan import Plan
+from service.cell.rest import Rest
 from service.cell.tick_record import TickRecord
 from service.drivers.base import PoseTarget, Program, Sample
 from service.faults import FaultCode
@@ -23,6 +24,7 @@ from service.policy.step import Seen
 from service.safety import dsl, preflight
 from service.safety.pose import rotvec_from_yaw, yaw_and_tilt
 from service.safety.stop import STANDSTILL_M_S
+from service.safety.witness import Witness
 from wire.arrays import Float32Array, FloatArray
 
 ZEROING_TRIES = 12
@@ -91,6 +93,8 @@ class Insertion:
         self._ended = False
         self._zeroings = 0
         self._window: deque[FloatArray] = deque(maxlen=max(plan.step.ticks, plan.preflight.window_samples))
+        self._rest = Rest(plan)
+        self._witness: Witness | None = None
         self._estimates: list[FloatArray] = []
         self._hole = plan.nominal_hole
         self._waypoints: list[FloatArray] = []
@@ -153,6 +157,9 @@ class Insertion:
         if (halt := why_not_drive(sample, engaged=driven)) is not None:
             yield self._halt(halt.code, halt.text)
             return
+        if self._witness is not None and (verdict := self._witness.check(sample.wrench, sample.joint_force)).fault:
+            yield self._halt(verdict.fault, verdict.text)
+            return
         self._window.append(sample.wrench)
         if self._stage_seq < 0:
             self._stage_seq = sample.seq
@@ -173,15 +180,16 @@ class Insertion:
     def _await_free(self, sample: Sample) -> Iterator[Order]:
         """Zero the sensor once the tool stands and carries nothing; zeroing in contact would hide the contact."""
         still = float(np.linalg.norm(sample.tcp_velocity[:3])) < STANDSTILL_M_S
+        self._rest.add(sample)
         if sample.program is not Program.IDLE or not still:
-            self._window.clear()
+            self._rest.clear()
             if sample.seq - self._stage_seq > STANDSTILL_TICKS:
                 text = (
                     f"the arm moves, or its program is not idle ({sample.program.name}): does another client drive it?"
                 )
                 yield from self._fail(FaultCode.AUTHORITY, text)
-        elif len(self._window) >= self._plan.preflight.window_samples:
-            verdict = preflight.check_unzeroed(self._plan.preflight, np.array(self._window))
+        elif self._rest.is_long_enough:
+            verdict = self._rest.judge_load()
             if verdict.fault is None:
                 yield from self._zero(sample)
             else:
@@ -195,8 +203,10 @@ class Insertion:
     def _check(self, sample: Sample) -> Iterator[Order]:
         if sample.seq - self._stage_seq <= SETTLE_TICKS:
             self._window.clear()
+            self._rest.clear()
             self._estimates.clear()
             return
+        self._rest.add(sample)
         if sample.hole_estimate is not None:
             self._estimates.append(sample.hole_estimate)
         # Counted, not timed: a busy transport loses samples now and then
@@ -218,6 +228,7 @@ class Insertion:
         if (text := self._locate_hole(sample)) is not None:
             yield from self._fail(FaultCode.BOUNDS, text)
             return
+        self._witness = self._rest.witness()
         self._started_s = sample.time_s
         self._go(Stage.ENGAGING, sample)
         yield Engage(plan.law, plan.limits)

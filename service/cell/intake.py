@@ -133,6 +133,7 @@ def _check(monitor: Monitor, sample: Sample) -> Verdict:
         seq=sample.seq,
         time_s=sample.time_s,
         wrench=sample.wrench,
+        raw=sample.ft_raw,
         motion=np.concatenate((sample.q, sample.qd, sample.tcp_position, sample.tcp_rotvec, sample.tcp_velocity)),
         saturated=sample.saturated,
         now=sample.arrival_s,

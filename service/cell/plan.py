@@ -9,6 +9,7 @@ from service.policy.contract import PolicyContract
 from service.policy.step import PolicyStep, command_bounds
 from service.safety.monitor import MonitorParameters
 from service.safety.preflight import PreflightParameters
+from service.safety.witness import WitnessParameters
 from wire.arrays import FloatArray
 from wire.law import ComplianceLaw, ControlLimits
 
@@ -34,6 +35,7 @@ class Plan:
         law: compliance while engaged.
         limits: limits that the arm's own controller enforces.
         preflight: requirements on sensor and pose before the arm moves.
+        witness: agreement of the sensor with the arm's joints, where the arm gives their forces.
         step: the policy step, with its lock and its bounds.
     """
 
@@ -53,6 +55,7 @@ class Plan:
     law: ComplianceLaw
     limits: ControlLimits
     preflight: PreflightParameters
+    witness: WitnessParameters
     step: PolicyStep
 
     def why_not_hole(self, estimate: FloatArray) -> str | None:
@@ -102,6 +105,7 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         law=contract.compliance,
         limits=control,
         preflight=PreflightParameters(**config.preflight.model_dump()),
+        witness=WitnessParameters(**config.witness.model_dump()),
         step=PolicyStep(contract, bounds),
     )
 
@@ -112,6 +116,7 @@ def plan_monitor(limits: LimitsSection, force_ceiling_n: float) -> MonitorParame
         force_ceiling_n=force_ceiling_n,
         torque_ceiling_nm=limits.torque_ceiling_nm,
         stuck_samples=limits.stuck_samples,
+        stuck_channel_samples=limits.stuck_channel_samples,
         max_age_s=limits.sample_age_s,
         max_gap_s=limits.sample_age_s,
     )

@@ -20,7 +20,7 @@ def make_driver(cell: CellConfig) -> Driver:
     """Make the driver that the configuration names; it opens nothing until it is connected."""
     match cell.cell.driver:
         case "zenoh_sim":
-            return ZenohSimDriver(cell.sim.world, [cell.sim.endpoint], cell.sim.mode)
+            return ZenohSimDriver(cell.sim.world, [cell.sim.endpoint], cell.sim.mode, cell=cell.cell.id)
         case "ur":
             return _make_ur_driver(cell)
         case _ as never:
@@ -30,7 +30,8 @@ def make_driver(cell: CellConfig) -> Driver:
 def _make_ur_driver(cell: CellConfig) -> UrDriver:
     sim, view = cell.sim, cell.camera
     camera = None if view is None else ZenohCamera(view.endpoint, view.key, view.max_age_s, time.monotonic)
-    world_setup = ZenohWorldSetup(sim.world, [sim.endpoint]) if ur_section(cell).simulated else None
+    simulated = ur_section(cell).simulated
+    world_setup = ZenohWorldSetup(sim.world, [sim.endpoint], cell.cell.id) if simulated else None
     try:
         return UrDriver(cell, camera=camera, world_setup=world_setup)
     except ProgramError as error:

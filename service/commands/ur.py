@@ -113,6 +113,9 @@ class _Onlooker:
     def on_link_fault(self, code: FaultCode, text: str) -> None:
         """Ignore the fault: the gate's checks say more."""
 
+    def on_notice(self, text: str) -> None:
+        """Ignore the notice."""
+
 
 async def _pass_gate(driver: UrDriver) -> str | None:
     try:

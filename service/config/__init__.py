@@ -5,7 +5,7 @@ The file is `$DSL_ASSEMBLY_CONFIG`, else `cell.toml`, else `config/cell.toml`. A
 """
 
 from service.config.cell_config import CellConfig
-from service.config.limits import LimitsSection, PreflightSection
+from service.config.limits import LimitsSection, PreflightSection, WitnessSection
 from service.config.loading import DEFAULT_PATHS, PATH_VARIABLE, ConfigError, find, load
 from service.config.sections import (
     ApiSection,
@@ -31,6 +31,7 @@ __all__ = [
     "RecipeSection",
     "SimSection",
     "UrSection",
+    "WitnessSection",
     "find",
     "load",
 ]

@@ -7,7 +7,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 
 from service.config.checks import recipes_beyond_limits, within_limits, within_preflight, without_robot
 from service.config.fields import Name
-from service.config.limits import LimitsSection, PreflightSection
+from service.config.limits import LimitsSection, PreflightSection, WitnessSection
 from service.config.sections import ApiSection, CameraSection, CellSection, ClientLossSection, RecipeSection, SimSection
 from service.config.ur import UrSection
 
@@ -22,6 +22,7 @@ class CellConfig(BaseSettings):
     cell: CellSection
     limits: LimitsSection
     preflight: PreflightSection = PreflightSection()
+    witness: WitnessSection = WitnessSection()
     sim: SimSection = SimSection()
     ur: UrSection | None = None
     camera: CameraSection | None = None

@@ -11,6 +11,8 @@ def within_limits(limits: LimitsSection) -> Iterator[str]:
     """Yield contradictions among the limits."""
     if limits.policy_deadline_s >= limits.target_age_s:
         yield "limits.policy_deadline_s must be below limits.target_age_s, or the arm stops first"
+    if limits.stuck_channel_samples < limits.stuck_samples:
+        yield "limits.stuck_channel_samples must not be below limits.stuck_samples"
     for name, least, most in (
         ("damping", limits.min_damping, limits.max_damping),
         ("inertia", limits.min_inertia, limits.max_inertia),

@@ -1,4 +1,4 @@
-"""Limits that no run may exceed, and requirements before the arm moves."""
+"""Limits that no run may exceed, requirements before the arm moves, and agreement of the sensor with the joints."""
 
 from typing import Annotated
 
@@ -15,7 +15,10 @@ class LimitsSection(Section):
         force_ceiling_n: largest resultant force of any single sample, N.
         torque_ceiling_nm: largest resultant torque at the TCP of any single sample, N·m.
         sample_age_s: age of the newest sample, and gap between two, at which the cell latches STALE.
-        stuck_samples: bit-identical wrenches in a row at which the cell latches SENSOR_STUCK.
+        stuck_samples: samples in a row, bit-identical in all forces or all torques, at which the cell latches
+            SENSOR_STUCK.
+        stuck_channel_samples: the same for one channel. A sensor that is quantised more coarsely than its noise needs
+            more.
         target_age_s: time without a target after which the arm's own controller stops.
         max_step_m: largest change between two targets, and largest distance of a target from the measured position.
         max_turn_rad: the same for the yaw.
@@ -47,6 +50,7 @@ class LimitsSection(Section):
     torque_ceiling_nm: Torque = TORQUE_CEILING_NM
     sample_age_s: Annotated[float, Field(ge=0.006, le=0.5, allow_inf_nan=False)] = 0.05
     stuck_samples: Annotated[int, Field(ge=2, le=500)] = 10
+    stuck_channel_samples: Annotated[int, Field(ge=2, le=500)] = 25
     target_age_s: Annotated[float, Field(ge=0.02, le=1.0, allow_inf_nan=False)] = TARGET_AGE_S
     max_step_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = MAX_STEP[0]
     max_turn_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = MAX_STEP[1]
@@ -100,3 +104,19 @@ class PreflightSection(Section):
     tilt_rad: Positive = 0.02
     unzeroed_force_n: Force = 12.0
     unzeroed_torque_nm: Positive = 2.5
+
+
+class WitnessSection(Section):
+    """Agreement of the force/torque sensor with the arm's joints, for an arm that gives their forces.
+
+    `service/safety/witness.py` compares them.
+
+    Attributes:
+        force_n: difference of their forces at which the cell latches SENSOR_INVALID.
+        time_s: time constant of the mean over which they are compared.
+        rest_force_n: largest force that the joints may feel before a run, with the configured payload and a free tool.
+    """
+
+    force_n: Annotated[float, Field(gt=0.0, le=30.0, allow_inf_nan=False)] = 12.0
+    time_s: Annotated[float, Field(ge=0.002, le=0.1, allow_inf_nan=False)] = 0.01
+    rest_force_n: Annotated[float, Field(gt=0.0, le=30.0, allow_inf_nan=False)] = 6.0

@@ -16,6 +16,8 @@ class UrSection(Section):
         dashboard_port: port of its dashboard server.
         primary_port: port of its primary interface, which takes the control program.
         gripper_port: port of the URCap of a Robotiq gripper, for `dsl-assembly ur gripper`.
+        model: model that must answer, as the dashboard names it: UR3 for a UR3e; None: any.
+        serial: serial number that must answer; None: any.
         simulated: whether it is the emulated controller of this project, whose world is laid out from a seed; `sim`
             then names that world.
         payload_kg: mass of everything that the flange carries.
@@ -35,6 +37,8 @@ class UrSection(Section):
     dashboard_port: Port = 29999
     primary_port: Port = 30001
     gripper_port: Port = 63352
+    model: Annotated[str, Field(pattern=r"^UR\d+\w*$")] | None = None
+    serial: Annotated[str, Field(pattern=r"^\d+$")] | None = None
     simulated: bool = False
     payload_kg: Annotated[float, Field(ge=0.0, le=50.0, allow_inf_nan=False)]
     payload_com_m: Position

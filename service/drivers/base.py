@@ -42,6 +42,10 @@ class Sample:
         tcp_rotvec: (3,) rotation vector of the TCP, rad.
         tcp_velocity: (6,) velocity of the TCP, m/s and rad/s.
         wrench: (6,) N and N·m at the TCP, base frame, zeroed and payload-compensated.
+        unzeroed: (6,) N and N·m, as `wrench`, but without any zero: the raw reading less the payload's weight.
+        ft_raw: (6,) the sensor's own reading, in its own axes, N and N·m.
+        joint_force: (3,) force on the tool as the joints' drives feel it, base frame, payload-compensated, N; a second
+            witness beside the force/torque sensor, and a coarser one. None if the arm gives none.
         saturated: True if a channel of the sensor is at the end of its range.
         hole_estimate: (3,) the camera's estimate of the centre of the hole's mouth, m; None without one.
         program: state of the control program on the arm's controller.
@@ -63,6 +67,9 @@ class Sample:
     tcp_rotvec: FloatArray
     tcp_velocity: FloatArray
     wrench: FloatArray
+    unzeroed: FloatArray
+    ft_raw: FloatArray
+    joint_force: FloatArray | None
     saturated: bool
     hole_estimate: FloatArray | None
     program: Program
@@ -88,6 +95,10 @@ class SampleSink(Protocol):
 
     def on_link_fault(self, code: FaultCode, text: str) -> None:
         """Take note that the link is broken or not trustworthy. Samples may or may not continue."""
+        ...
+
+    def on_notice(self, text: str) -> None:
+        """Take note of something that had no effect: commands of others that the arm refused, say."""
         ...
 
 
@@ -153,6 +164,13 @@ class Driver(Protocol):
 
     def stop(self) -> None:
         """Decelerate, hold and disengage. It never blocks or raises and may be called at any rate in any state."""
+        ...
+
+    def stop_blind(self) -> None:
+        """Stop as `stop`, without yielding to the force/torque sensor meanwhile: its reading is not believed.
+
+        An arm that yields to a sensor with the wrong sign pushes harder while it stops.
+        """
         ...
 
     def escalate(self) -> None:

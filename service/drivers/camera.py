@@ -96,6 +96,8 @@ class ZenohCamera:
     def _receive(self, message: zenoh.Sample) -> None:
         """Take in a message. Runs on Zenoh's thread."""
         arrival_s = self._clock()
+        if str(message.key_expr) != self._key:
+            return  # the camera names its key; a wildcard is somebody else's
         try:
             frames = records.decode(message.payload.to_bytes(), records.CAMERA)
         except records.WireError as error:

@@ -42,6 +42,9 @@ def read_sample(record: RecordArray, arrival_s: float) -> Sample:
         tcp_rotvec=row["tcp_rotvec"].copy(),
         tcp_velocity=row["tcp_velocity"].copy(),
         wrench=row["wrench"].copy(),
+        unzeroed=row["unzeroed"].copy(),
+        ft_raw=row["ft_raw"].copy(),
+        joint_force=row["joint_force"].copy(),
         saturated=bool(row["saturated"]),
         hole_estimate=estimate if bool(np.isfinite(estimate).all()) else None,
         program=program,
@@ -73,11 +76,12 @@ class CommandWriter:
 
     Attributes:
         epoch: epoch of the addressed world; set on connecting.
+        client: word of the claim on that world; set on connecting.
     """
 
     def __init__(self) -> None:
         self.epoch = 0
-        self._client = secrets.randbits(63)
+        self.client = secrets.randbits(63)
         self._seq = 0
 
     def engage(self, law: ComplianceLaw, limits: ControlLimits) -> RecordArray:
@@ -93,8 +97,8 @@ class CommandWriter:
         record[0]["position"], record[0]["rotvec"] = target.position, target.rotvec
         return record
 
-    def stop(self) -> RecordArray:
-        return self._new(records.Kind.STOP)
+    def stop(self, *, blind: bool = False) -> RecordArray:
+        return self._new(records.Kind.STOP_BLIND if blind else records.Kind.STOP)
 
     def zero_ft(self) -> RecordArray:
         return self._new(records.Kind.ZERO_FT)
@@ -111,5 +115,5 @@ class CommandWriter:
         self._seq += 1
         record = records.new(records.COMMAND, kind)
         row = record[0]
-        row["client"], row["epoch"], row["seq"] = self._client, self.epoch, self._seq
+        row["client"], row["epoch"], row["seq"] = self.client, self.epoch, self._seq
         return record

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import structlog
 import zenoh
 
 from service.drivers.base import DriverError
 from service.drivers.sim_wire import check_task
+from service.drivers.world_hold import WorldHold
 from service.faults import FaultCode
 from wire import keys, records
 from wire.session import QueryRefusedError, close_session, open_session, query
@@ -17,6 +19,11 @@ from wire.task import Task
 
 LAY_OUT_S = 30.0
 """Host time for a simulator to lay out, and perhaps to compile, a world, s."""
+CONNECT_S = 2.0
+"""Time in which a simulator must be reached, s."""
+POLL_S = 0.05
+
+_log = structlog.get_logger("service.drivers")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +47,7 @@ class WorldSetup(Protocol):
 
         Raises:
             OSError: the world cannot be reached.
+            DriverError: another cell holds the world.
         """
         ...
 
@@ -62,24 +70,29 @@ class ZenohWorldSetup:
     Args:
         world: name of the world in its keys.
         connect: endpoints of its server.
+        cell: id of the cell that claims the world; empty for a program without one.
     """
 
-    def __init__(self, world: str, connect: Sequence[str]) -> None:
-        self._world = world
+    def __init__(self, world: str, connect: Sequence[str], cell: str = "") -> None:
         self._name = f"simulated world sim/{world} at {', '.join(connect)}"
         self._connect = tuple(connect)
         self._session: zenoh.Session | None = None
+        self._hold = WorldHold(world, self._name, cell)
+        self._holding: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
         if self._session is None:
             self._session = await asyncio.to_thread(open_session, connect=self._connect)
+        await self._claim(self._session)
+        if self._holding is None or self._holding.done():
+            self._holding = asyncio.create_task(self._keep_hold(self._session), name="hold")
 
     async def lay_out(self, task: Task | None) -> LaidOut:
         payload = json.dumps(check_task(task).to_json()).encode()
         if self._session is None:
             raise DriverError(FaultCode.LINK, f"{self._name}: not connected")
         try:
-            replies = await query(self._session, keys.RESET.format(world=self._world), payload, LAY_OUT_S)
+            replies = await query(self._session, self._hold.signed(keys.RESET), payload, LAY_OUT_S)
         except QueryRefusedError as error:
             raise DriverError(FaultCode.PROTOCOL, f"{self._name} refused: {error}") from error
         if len(replies) != 1:
@@ -92,6 +105,31 @@ class ZenohWorldSetup:
         return LaidOut(episode=int(row["episode"]), time_s=float(row["time_s"]))
 
     async def close(self) -> None:
+        holding, self._holding = self._holding, None
+        if holding is not None:
+            holding.cancel()
+            await asyncio.gather(holding, return_exceptions=True)
         session, self._session = self._session, None
         if session is not None:
+            await self._hold.release(session)
             await asyncio.to_thread(close_session, session)
+
+    async def _claim(self, session: zenoh.Session) -> None:
+        # A session that is just connecting reaches nobody at once, so a silence is worth asking again.
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + CONNECT_S
+        while True:
+            try:
+                await self._hold.claim(session)
+            except DriverError as error:
+                if error.code is not FaultCode.LINK or loop.time() >= deadline:
+                    raise
+                await asyncio.sleep(POLL_S)
+            else:
+                return
+
+    async def _keep_hold(self, session: zenoh.Session) -> None:
+        try:
+            await self._hold.keep(session, lambda count: _log.warning("refused", world=self._name, commands=count))
+        except DriverError as error:  # the next layout says so, too
+            _log.error("world lost", error=str(error))

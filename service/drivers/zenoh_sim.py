@@ -1,6 +1,7 @@
 """The driver of a simulated cell over Zenoh, in real time or in lockstep. `wire` defines the keys and records."""
 
 import asyncio
+import contextlib
 import json
 import time
 from collections.abc import Callable, Sequence
@@ -12,6 +13,7 @@ import zenoh
 from service.drivers.base import DriverError, PoseTarget, Sample, SampleSink
 from service.drivers.handover import Handover
 from service.drivers.sim_wire import CommandWriter, check_task, read_sample
+from service.drivers.world_hold import WorldHold
 from service.faults import FaultCode
 from service.program import PROGRAM
 from wire import keys, records
@@ -36,20 +38,28 @@ class ZenohSimDriver:
         connect: endpoints of its server.
         mode: time mode. In `real_time` the world's time passes by itself; in `lockstep` this driver advances it.
         clock: monotonic clock for arrivals in real time, s.
+        cell: id of the cell that claims the world; empty for a program without one.
     """
 
     simulated = True
     tick_s = records.TICK_S
 
     def __init__(
-        self, world: str, connect: Sequence[str], mode: TimeMode, clock: Callable[[], float] = time.monotonic
+        self,
+        world: str,
+        connect: Sequence[str],
+        mode: TimeMode,
+        clock: Callable[[], float] = time.monotonic,
+        cell: str = "",
     ) -> None:
         self.mode: TimeMode = mode
         self.name = f"simulated cell sim/{world} at {', '.join(connect)}"
         self._world = world
+        self._state_key = keys.STATE.format(world=world)
         self._connect = tuple(connect)
         self._host_clock = clock
         self._commands = CommandWriter()
+        self._hold = WorldHold(world, self.name, cell)
         self._handover = Handover()
         self._session: zenoh.Session | None = None
         self._publisher: zenoh.Publisher | None = None
@@ -61,6 +71,7 @@ class ZenohSimDriver:
         self._ticks = 0
         self._quiet_ticks = 0
         self._task: asyncio.Task[None] | None = None
+        self._holding: asyncio.Task[None] | None = None
 
     @property
     def clock(self) -> Callable[[], float]:
@@ -78,7 +89,10 @@ class ZenohSimDriver:
         if self._session is None:
             self._session = await asyncio.to_thread(open_session, connect=self._connect)
         info = await self._ask_info(self._session)
-        self._commands.epoch = int(info["epoch"])
+        await self._hold.claim(self._session)
+        self._commands.epoch, self._commands.client = int(info["epoch"]), self._hold.word
+        if self._holding is None or self._holding.done():
+            self._holding = asyncio.create_task(self._keep_hold(self._session), name="hold")
         if self.mode == "lockstep":
             if self._task is None or self._task.done():
                 self._task = asyncio.create_task(self._let_time_pass(), name="lockstep")
@@ -89,11 +103,11 @@ class ZenohSimDriver:
                 priority=zenoh.Priority.REAL_TIME,
                 express=True,
             )
-            self._session.declare_subscriber(keys.STATE.format(world=self._world), self._receive)
+            self._session.declare_subscriber(self._state_key, self._receive)
 
     async def prepare(self, task: Task | None) -> None:
         payload = json.dumps(check_task(task).to_json()).encode()
-        replies = await self._query(keys.RESET, payload, PREPARE_TIMEOUT_S)
+        replies = await self._query(self._hold.signed(keys.RESET), payload, PREPARE_TIMEOUT_S)
         try:
             laid_out = int(records.decode(replies[0], records.STATE)[0]["seq"])
         except records.WireError as error:
@@ -115,8 +129,12 @@ class ZenohSimDriver:
         return self._commands.seq
 
     def stop(self) -> None:
-        self._pending.clear()
+        self._pending = [order for order in self._pending if order[0]["kind"] == records.Kind.STOP_BLIND]
         self._send(self._commands.stop())
+
+    def stop_blind(self) -> None:
+        self._pending.clear()
+        self._send(self._commands.stop(blind=True))
 
     def escalate(self) -> None:
         self.stop()
@@ -129,15 +147,18 @@ class ZenohSimDriver:
 
     async def close(self) -> None:
         self.stop()
-        task, self._task = self._task, None
-        if task is not None:
+        tasks = [task for task in (self._task, self._holding) if task is not None]
+        self._task = self._holding = None
+        for task in tasks:
             task.cancel()
-            await asyncio.gather(task, return_exceptions=True)
+        await asyncio.gather(*tasks, return_exceptions=True)
         session, self._session, self._publisher = self._session, None, None
         if session is not None:
-            if self._pending:
+            if self._pending and self._hold.word:
                 payload = b"".join(command.tobytes() for command in self._pending)
-                await query(session, f"{keys.ADVANCE.format(world=self._world)}?ticks=1", payload, QUERY_TIMEOUT_S)
+                with contextlib.suppress(QueryRefusedError):
+                    await query(session, self._hold.signed(keys.ADVANCE, "ticks=1"), payload, QUERY_TIMEOUT_S)
+            await self._hold.release(session)
             await asyncio.to_thread(close_session, session)
 
     # --- real time
@@ -145,6 +166,8 @@ class ZenohSimDriver:
     def _receive(self, message: zenoh.Sample) -> None:
         """Check a state against the schema, stamp its arrival and hand it over. Runs on Zenoh's thread."""
         arrival_s = self._host_clock()
+        if str(message.key_expr) != self._state_key:
+            return  # the world names its key; a wildcard is somebody else's
         try:
             states = records.decode(message.payload.to_bytes(), records.STATE)
             if len(states) != 1:
@@ -171,7 +194,7 @@ class ZenohSimDriver:
             commands, self._pending = self._pending, []
             try:
                 payload = b"".join(command.tobytes() for command in commands)
-                replies = await self._query(f"{keys.ADVANCE}?ticks=1", payload, QUERY_TIMEOUT_S)
+                replies = await self._query(self._hold.signed(keys.ADVANCE, "ticks=1"), payload, QUERY_TIMEOUT_S)
                 states = records.decode(replies[0], records.STATE)
                 self._ticks += len(states)
                 samples = [read_sample(states[i : i + 1], self._ticks * records.TICK_S) for i in range(len(states))]
@@ -189,6 +212,16 @@ class ZenohSimDriver:
                 await asyncio.sleep(records.TICK_S)
 
     # --- both
+
+    async def _keep_hold(self, session: zenoh.Session) -> None:
+        try:
+            await self._hold.keep(session, self._tell_refused)
+        except DriverError as error:  # this process was silent for so long that another cell has the world now
+            self._report(FaultCode.LINK, str(error))
+
+    def _tell_refused(self, count: int) -> None:
+        if self._sink is not None:
+            self._sink.on_notice(f"{self.name} refused {count} commands or requests that were not this cell's")
 
     def _send(self, command: npt.NDArray[Any]) -> None:
         if self.mode == "lockstep":
@@ -210,7 +243,7 @@ class ZenohSimDriver:
             self._loop.call_soon(self._sink.on_link_fault, code, text)
 
     async def _ask_info(self, session: zenoh.Session) -> dict[str, Any]:
-        replies = await self._query(keys.INFO, b"", QUERY_TIMEOUT_S)
+        replies = await self._query(keys.INFO.format(world=self._world), b"", QUERY_TIMEOUT_S)
         if len(replies) > 1:
             raise DriverError(
                 FaultCode.SOURCE, f"{self.name}: {len(replies)} worlds answer to this name; end all but one"
@@ -234,11 +267,11 @@ class ZenohSimDriver:
             raise DriverError(FaultCode.PROTOCOL, text)
         return info
 
-    async def _query(self, key: str, payload: bytes, timeout_s: float) -> list[bytes]:
+    async def _query(self, selector: str, payload: bytes, timeout_s: float) -> list[bytes]:
         if self._session is None:
             raise DriverError(FaultCode.LINK, f"{self.name}: not connected")
         try:
-            replies = await query(self._session, key.format(world=self._world), payload, timeout_s)
+            replies = await query(self._session, selector, payload, timeout_s)
         except QueryRefusedError as error:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name} refused: {error}") from error
         if not replies:

@@ -4,7 +4,7 @@ It uses plain floats and `math`: on six numbers numpy's call overhead would domi
 """
 
 from dataclasses import dataclass, fields
-from math import hypot, inf, isfinite
+from math import hypot, inf, isfinite, nan
 
 from service.faults import FaultCode
 from service.safety.verdict import IGNORED, PASSED, Verdict
@@ -13,6 +13,7 @@ from wire.limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 
 PLAUSIBLE = 1e6
 """Largest plausible magnitude, in N, N·m, m, rad and their rates. No cell measures more, and squares may overflow."""
+_CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 STANDING_STAMPS = 3
 """Consecutive stamps without advance that mean a stopped clock. A clock that was set back gives a single one."""
 
@@ -24,7 +25,11 @@ class MonitorParameters:
     Attributes:
         force_ceiling_n: resultant force that trips, N.
         torque_ceiling_nm: resultant torque at the TCP that trips, N·m.
-        stuck_samples: number of consecutive bit-identical wrenches that mean a stuck sensor.
+        stuck_samples: number of consecutive samples, bit-identical in all forces or in all torques, that mean a stuck
+            sensor.
+        stuck_channel_samples: number of consecutive samples, bit-identical in one channel, that mean a stuck channel. A
+            quantised sensor repeats itself honestly: with noise as large as its resolution, 25 in a row have a chance
+            of 1e-10.
         max_age_s: age of the newest sample from which the cell counts as blind, s.
         max_gap_s: largest forward step between the time stamps of two consecutive samples, s.
         force_range_n: force component at the end of the sensor's range, N; it trips as well. Infinite if the source
@@ -35,6 +40,7 @@ class MonitorParameters:
     force_ceiling_n: float
     torque_ceiling_nm: float
     stuck_samples: int
+    stuck_channel_samples: int
     max_age_s: float
     max_gap_s: float
     force_range_n: float = inf
@@ -62,6 +68,45 @@ class MonitorParameters:
             )
         if self.stuck_samples < 2:
             raise ValueError("monitor.stuck_samples must be 2 or more: one sample cannot repeat itself")
+        if self.stuck_channel_samples < self.stuck_samples:
+            raise ValueError(
+                f"monitor.stuck_channel_samples is {self.stuck_channel_samples}, below monitor.stuck_samples "
+                f"({self.stuck_samples}): one channel repeats itself more easily than all"
+            )
+
+
+class Repeats:
+    """Counts the consecutive samples in which a channel of a wrench has not changed by a bit."""
+
+    __slots__ = ("_last", "_since")
+
+    def __init__(self) -> None:
+        self._last: list[float] = [nan] * 6
+        self._since = [1] * 6
+
+    def stuck(self, channels: list[float], samples: int, channel_samples: int) -> tuple[str, int, int] | None:
+        """Take in one sample.
+
+        Args:
+            channels: the six channels, N and N·m.
+            samples: limit for all forces, or all torques.
+            channel_samples: limit for one channel.
+
+        Returns:
+            What is stuck, since how many samples, and their limit; None if nothing is.
+        """
+        since = self._since = [
+            count + 1 if now == before else 1
+            for count, now, before in zip(self._since, channels, self._last, strict=True)
+        ]
+        self._last = channels
+        for name, count in (("force", min(since[:3])), ("torque", min(since[3:]))):
+            if count >= samples:
+                return f"every channel of {name}", count, samples
+        longest = max(since)
+        if longest >= channel_samples:
+            return f"channel {_CHANNELS[since.index(longest)]}", longest, channel_samples
+        return None
 
 
 class Monitor:
@@ -77,11 +122,11 @@ class Monitor:
         "_force",
         "_parameters",
         "_peak",
+        "_raw_repeats",
         "_repeats",
         "_seq",
         "_standing",
         "_time",
-        "_wrench_bytes",
     )
 
     def __init__(self, parameters: MonitorParameters) -> None:
@@ -95,8 +140,7 @@ class Monitor:
         self._seq = -1
         self._time: float | None = None
         self._arrival = -inf
-        self._wrench_bytes = b""
-        self._repeats = 1
+        self._repeats, self._raw_repeats = Repeats(), Repeats()
         self._standing = 0
         self._force = 0.0
         self._peak = 0.0
@@ -123,6 +167,7 @@ class Monitor:
         seq: int,
         time_s: float,
         wrench: FloatArray,
+        raw: FloatArray,
         motion: FloatArray,
         saturated: bool,
         now: float,
@@ -135,6 +180,7 @@ class Monitor:
             seq: sequence number, which increases within an episode.
             time_s: time stamp of the source, s. It is never used as an age, because clocks step.
             wrench: (6,) N, N·m at the TCP, base frame, not clipped.
+            raw: (6,) N and N·m, the sensor's own reading in its own axes; a stuck channel hides in axes that turn.
             motion: any shape; the other numbers of the sample that the cell uses (pose, velocity). Only their
                 finiteness and plausibility are judged.
             saturated: True if a raw channel is at the end of the sensor's range.
@@ -159,10 +205,12 @@ class Monitor:
             and max(abs(fx), abs(fy), abs(fz), abs(tx), abs(ty), abs(tz)) <= PLAUSIBLE
         ):
             return Verdict(FaultCode.SENSOR_INVALID, text=f"wrench is not finite or not plausible: {wrench.tolist()}")
-        moved: list[float] = motion.ravel().tolist()
-        if not (isfinite(time_s) and isfinite(sum(moved)) and max(map(abs, moved), default=0.0) <= PLAUSIBLE):
+        own: list[float] = raw.tolist()
+        moved: list[float] = [*own, *motion.ravel().tolist()]
+        if not (isfinite(time_s) and isfinite(sum(moved)) and max(map(abs, moved)) <= PLAUSIBLE):
             return Verdict(
-                FaultCode.SENSOR_INVALID, text="a pose, velocity or time stamp is not finite or not plausible"
+                FaultCode.SENSOR_INVALID,
+                text="a raw reading, pose, velocity or time stamp is not finite or not plausible",
             )
 
         gap = 0.0 if self._time is None else time_s - self._time
@@ -200,15 +248,16 @@ class Monitor:
                 "the true load is unknown and counts as above the ceiling",
             )
 
-        raw = wrench.tobytes()
-        self._repeats = self._repeats + 1 if raw == self._wrench_bytes else 1
-        self._wrench_bytes = raw
-        if self._repeats >= limits.stuck_samples:
+        stuck = self._repeats.stuck([fx, fy, fz, tx, ty, tz], limits.stuck_samples, limits.stuck_channel_samples)
+        stuck_raw = self._raw_repeats.stuck(own, limits.stuck_samples, limits.stuck_channel_samples)
+        if (found := stuck_raw or stuck) is not None:
+            name, count, limit = found
             return Verdict(
                 FaultCode.SENSOR_STUCK,
-                self._repeats,
-                limits.stuck_samples,
-                f"{self._repeats} bit-identical wrenches in a row with fresh stamps",
+                count,
+                limit,
+                f"{name} of the {'sensor' if stuck_raw else 'wrench'} is bit-identical in {count} samples in a row "
+                f"with fresh stamps, limit {limit}",
             )
 
         if self._standing >= STANDING_STAMPS:

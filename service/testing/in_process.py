@@ -22,6 +22,10 @@ IDLE_TICKS = 500
 """Ticks without a command or an engaged arm after which time passes no faster than in reality, to spare the core."""
 
 
+def _stops_blindly(command: npt.NDArray[Any]) -> bool:
+    return bool(command[0]["kind"] == records.Kind.STOP_BLIND)
+
+
 class InProcessDriver:
     """Steps a `SimulatedCell`, one tick per turn of the event loop; every sample is judged before the next tick.
 
@@ -69,7 +73,11 @@ class InProcessDriver:
         return self._commands.seq
 
     def stop(self) -> None:
-        self._pending = [self._commands.stop()]
+        # an earlier order to stop blindly is not lost
+        self._pending = [*filter(_stops_blindly, self._pending), self._commands.stop()]
+
+    def stop_blind(self) -> None:
+        self._pending = [self._commands.stop(blind=True)]
 
     def escalate(self) -> None:
         self.stop()

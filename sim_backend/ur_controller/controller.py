@@ -271,9 +271,15 @@ class Controller:
         self._paused_by_safeguard = False
 
     def protective_stop(self, reason: str) -> None:
-        """Stop at once and end the program; a program may call this too."""
+        """Stop at once and pause the program; a program may call this too.
+
+        The program stays paused when the stop is unlocked (script manual, `protective_stop`); `play` resumes it.
+        """
         self.safety.protective_stop(reason)
-        self._halt()
+        self.motion.freeze()
+        self.interpreter.pause(at_once=True)
+        self.interpreter.stop_secondaries()
+        self._last_target = self.motion.q_target
 
     def violate(self, reason: str) -> None:
         """Trip a safety limit: stop and cut the power until safety is restarted."""
@@ -309,6 +315,7 @@ class Controller:
                 f" {self.safety_mode.name}; it has to be RUNNING and NORMAL"
             )
         self.interpreter.start(compiled)
+        self.plant.zero_ft()  # as a real controller does whenever a program starts
 
     def load(self, name: str) -> None:
         """Select the program that `play` runs.

@@ -74,10 +74,10 @@ class Interpreter:
             raise Refused(f"{MOST_SECONDARIES} secondary programs run already; wait for one to end")
         self._secondaries.append(Execution(compiled))
 
-    def pause(self) -> None:
-        """Bring the main program and its motion to rest."""
-        if self.runs:
-            self.state = RuntimeState.PAUSING
+    def pause(self, *, at_once: bool = False) -> None:
+        """Bring the main program and its motion to rest; `at_once` if the arm already stands."""
+        if self._main is not None and (at_once or self.runs):
+            self.state = RuntimeState.PAUSED if at_once else RuntimeState.PAUSING
 
     def resume(self) -> None:
         """Resume a paused program."""
@@ -100,6 +100,10 @@ class Interpreter:
     def stop_all(self) -> None:
         """End the main program and the secondary programs."""
         self.stop()
+        self.stop_secondaries()
+
+    def stop_secondaries(self) -> None:
+        """End the secondary programs; the main program goes on."""
         for secondary in self._secondaries:
             secondary.kill()
 

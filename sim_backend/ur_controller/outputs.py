@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sim_backend.ur_controller.controller import Controller
-from sim_backend.ur_controller.geometry import jacobian_of
 from sim_backend.ur_controller.inputs import Registers
 from sim_backend.ur_controller.terminals import CONFIGURABLE
 from sim_backend.world.arm import PROTECTIVE_ERROR_RAD, PROTECTIVE_FORCE_N
@@ -91,7 +90,7 @@ class Outputs:
             "actual_TCP_force": force,
             "tcp_force_scalar": lambda: math.hypot(*force()[:3]),
             "ft_raw_wrench": lambda: plant.ft_raw.tolist(),
-            "wrench_calc_from_currents": self._wrench_from_currents,
+            "wrench_calc_from_currents": self._once("felt", plant.felt_wrench),
             "actual_tool_accelerometer": self._once("accelerometer", plant.tool_acceleration),
             "actual_momentum": self._once("momentum", plant.momentum),
             "collision_detection_ratio": lambda: plant.true_force / PROTECTIVE_FORCE_N,
@@ -189,16 +188,6 @@ class Outputs:
 
     def _deviation(self) -> float:
         return float(np.abs(self._plant.q - self._motion.q_target).max()) / PROTECTIVE_ERROR_RAD
-
-    def _wrench_from_currents(self) -> list[float]:
-        """Return the flange's wrench derived from the joint torques; zero for a singular arm."""
-        plant = self._plant
-        q = plant.q.tolist()
-        jacobian = jacobian_of(q, plant.flange()[0])
-        try:
-            return np.linalg.solve(jacobian.T, plant.payload_torques() - plant.joint_torques()).tolist()
-        except np.linalg.LinAlgError:
-            return [0.0] * 6
 
 
 def _registers(direction: str, registers: Registers) -> dict[str, Getter]:

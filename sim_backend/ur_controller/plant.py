@@ -20,6 +20,7 @@ from sim_backend.ur_controller.geometry import (
 )
 from sim_backend.world import kinematics, scene
 from sim_backend.world.arm import KINEMATICS_TICKS
+from sim_backend.world.joint_sense import JointSense
 from sim_backend.world.kinematics import UR3E
 from sim_backend.world.servo import JointServo, gains
 from sim_backend.world.world import World
@@ -73,8 +74,8 @@ class Plant:
         self.payload_inertia: tuple[float, ...] = (0.0,) * 6
         self.external_wrench: Sequence[float] | None = None
         self._tool_rotation = rotation_of(0.0, 0.0, 0.0)
-        self._stiffness, self._damping = gains(world.model())
-        self._servo = JointServo(1, self._stiffness, self._damping, self.payload_kg, self.payload_cog)
+        self._joint_sense = JointSense()
+        self._servo = JointServo(1, *gains(world.model()), self.payload_kg, self.payload_cog)
         self._task = Task(0, world.part)
         self._settle()
 
@@ -93,6 +94,7 @@ class Plant:
         self.set_points = set_points[0]
         self.world.drive(set_points)
         self._measure()
+        self._joint_sense.read(self.world, self.payload_kg, self.payload_cog, self.tcp_offset[:3])
 
     def lay_out(self, task: Task) -> None:
         """Begin an episode: another hole, another plant, the arm at rest at the start pose.
@@ -109,6 +111,7 @@ class Plant:
         self.world.sensor.configure(*nominal, self.world.rotation)  # load that a reset assumes to be carried
         self.world.reset(_ONLY, [task])
         self._task = task
+        self._joint_sense.begin(task.seed)
         self._configure()
         self._placed()
 
@@ -130,7 +133,7 @@ class Plant:
 
     def set_payload(self, kg: float, cog: Sequence[float], inertia: Sequence[float] | None = None) -> None:
         """Configure the payload: mass kg, centre (3,) m in the flange's frame, inertia (6,) kg·m²; None keeps the
-        inertia.
+        inertia. The sensor's zero stays.
         """
         self.payload_kg, self.payload_cog = float(kg), tuple(map(float, cog))
         if inertia is not None:
@@ -183,13 +186,12 @@ class Plant:
 
     def joint_torques(self) -> FloatArray:
         """Return the torque of the joint servos (6,), N·m, without the weight of the links."""
-        torque = self._stiffness * (self.set_points - self.q) - self._damping * self.qd
-        return np.minimum(np.maximum(torque, -kinematics.JOINT_TORQUE_NM), kinematics.JOINT_TORQUE_NM)
+        return self.world.joint_torques[0].copy()
 
-    def payload_torques(self) -> FloatArray:
-        """Return the part of `joint_torques` (6,) that carries the configured payload at rest, N·m."""
-        lift = kinematics.jacobian(self.q, np.array(self.payload_cog))[2]
-        return self.payload_kg * kinematics.GRAVITY_M_S2 * lift
+    def felt_wrench(self) -> list[float]:
+        """Return the wrench about the flange, base axes, of the force at the TCP that the joints' drives feel."""
+        force: list[float] = self._joint_sense.force.tolist()
+        return [*force, *cross(rotate(self.flange()[1], self.tcp_offset[:3]), force)]
 
     def elbow(self) -> tuple[list[float], list[float]]:
         """Return position (3,), m, and velocity (3,), m/s, of the elbow, the end of the upper arm."""

@@ -10,14 +10,19 @@ from dataclasses import asdict
 
 import zenoh
 
-from sim_backend.requests import RequestError, asked, query_keys, read_object, read_task
+from sim_backend.holding import SIGNATURE, SIGNED, Holding
+from sim_backend.requests import RequestError, asked, query_keys, read_object, read_parameters, read_task
 from sim_backend.ur_controller.controller import Controller
 from sim_backend.ur_controller.events import Refused
 from sim_backend.ur_controller.server import ControllerServer
 from sim_backend.world.world import ESTIMATE_TICKS
 from wire import keys, records
 
-_QUERIES = {"reset": keys.RESET, "truth": keys.TRUTH, "info": keys.INFO, "panel": keys.PANEL}
+_QUERIES = {
+    "reset": keys.RESET, "claim": keys.CLAIM, "release": keys.RELEASE,
+    "truth": keys.TRUTH, "info": keys.INFO, "panel": keys.PANEL,
+}  # fmt: skip
+_READINGS = ("truth", "info")
 _QUERY_CAPACITY = 64
 
 
@@ -103,6 +108,7 @@ class Surroundings:
         self.epoch = secrets.randbits(63)
         self._controller = controller
         self._server = server
+        self._holding = Holding()
         self._degraded = list(degraded)
         self._episode = 0
         self._ticks = 0
@@ -139,26 +145,34 @@ class Surroundings:
     def _answer(self, query: zenoh.Query) -> bool:
         with query:
             try:
-                name = asked(query, self._keys)
-                reply = self._carry_out(name, query.payload.to_bytes() if query.payload is not None else b"")
+                name = asked(query, self._keys, _READINGS)
+                reply = self._carry_out(
+                    name, str(query.parameters), query.payload.to_bytes() if query.payload is not None else b""
+                )
             except RequestError as error:
                 query.reply_err(str(error), encoding=zenoh.Encoding.TEXT_PLAIN)
                 return False
             query.reply(self._keys[name], reply, express=True)
             return name == "reset"
 
-    def _carry_out(self, name: str, payload: bytes) -> bytes:
+    def _carry_out(self, name: str, parameters: str, payload: bytes) -> bytes:
         if name == "reset":
-            return self._lay_out(payload)
+            return self._lay_out(parameters, payload)
+        if name == "claim":
+            return self._holding.claim(parameters, payload)
+        if name == "release":
+            self._holding.release(parameters)
+            return b""
         if name == "panel":
             return press(self._controller, payload)
         if name == "truth":
             return json.dumps(self._controller.plant.truth()).encode()
         return self._info()
 
-    def _lay_out(self, payload: bytes) -> bytes:
+    def _lay_out(self, parameters: str, payload: bytes) -> bytes:
         """Begin an episode with the arm at the start pose and reply with its first camera frame; programs continue."""
         task = read_task(payload)
+        self._holding.check(read_parameters(parameters, SIGNATURE, *SIGNED), "reset")
         try:
             self._controller.plant.lay_out(task)
         except ValueError as error:
@@ -178,6 +192,7 @@ class Surroundings:
             "ports": asdict(self._server.ports),
             "state": _state(self._controller),
             "degraded": self._degraded,
+            "holder": self._holding.described(),
             "counters": asdict(self._server.counters),
         }
         return json.dumps(document).encode()

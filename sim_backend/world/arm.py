@@ -63,6 +63,7 @@ class ArmController:
         self._pending_quaternion = np.zeros((n, 4))
         self._age = np.zeros(n, np.int64)
         self._halted = np.zeros(n, np.int64)
+        self._blind: BoolArray = np.zeros(n, bool)
         self._max_speed = np.ones((n, 2))
         self._max_age = np.full(n, np.iinfo(np.int64).max)
         self._max_step = np.full((n, 2), np.inf)
@@ -81,6 +82,7 @@ class ArmController:
         self.reference.twist[cells] = 0.0
         self._delay[cells] = target_delay
         self._pending[cells] = -1
+        self._blind[cells] = False
         position, orientation = self._tcp(*kinematics.forward(joints))
         self.reference.position[cells] = self.target_position[cells] = position
         self.reference.quaternion[cells] = self.target_quaternion[cells] = orientation
@@ -117,6 +119,7 @@ class ArmController:
         self.target_quaternion[cells] = self.reference.quaternion[cells]
         self.peak_force[cells] = 0.0
         self.stop_reason[cells] = StopReason.NONE
+        self._blind[cells] = False
         self.program[cells] = Program.ENGAGED
         return idle
 
@@ -150,8 +153,16 @@ class ArmController:
         self._age[taken] = 0
         return good
 
-    def stop(self, cells: CellIndices, reason: StopReason) -> None:
-        """Decelerate and hold. Idle arms stay idle; a second stop changes nothing."""
+    def stop(self, cells: CellIndices, reason: StopReason, *, blind: bool = False) -> None:
+        """Decelerate and hold. Idle arms stay idle; a second stop changes nothing.
+
+        Args:
+            cells: (k,) arms.
+            reason: why.
+            blind: do not yield to the sensor meanwhile, because it is not believed; valid for a stop under way, too.
+        """
+        if blind:
+            self._blind[cells] = True
         self._stop(cells[self.program[cells] == Program.ENGAGED], reason)
 
     def unlock(self, cells: CellIndices) -> None:
@@ -237,7 +248,8 @@ class ArmController:
         if lagging.any():
             self._protect(np.flatnonzero(lagging), StopReason.PROTECTIVE_FORCE)
             self.joints[lagging] = joints[lagging]
-        return wrench if known.all() else np.where(known[:, None], wrench, 0.0)
+        used = known & ~self._blind
+        return wrench if used.all() else np.where(used[:, None], wrench, 0.0)
 
     def _brake(self, racing: BoolArray, rates: FloatArray) -> None:
         """Stop arms with a joint rate beyond its limit, the first sign of a near singularity."""

@@ -16,6 +16,8 @@ from wire.records import TICK_S
 RANGE = np.array([30.0] * 3 + [10.0] * 3)
 """End of the range of the UR3e's sensor, N and N·m, per channel."""
 MAX_DELAY = 8
+DRIFT_TICKS = 50_000
+"""Ticks after an episode's start at which its drift ends, as that of a real sensor ends once the sensor is warm."""
 ZERO_TICKS = 100
 """Time constant of the average from which a zero is taken; a single sample would carry its noise into all readings."""
 
@@ -84,6 +86,24 @@ class ForceTorqueSensor:
             carried: (n, 6) true load on the flange, flange axes, from environment and gravity.
             rotation: (n, 3, 3) orientation of the flange.
         """
+        raw = self.sense(carried)
+        np.any(np.abs(raw) >= RANGE, axis=1, out=self.saturated)
+        self.raw = np.clip(raw, -RANGE, RANGE)
+        own = self.raw - self._gravity(rotation)
+        self._average += (own - self._average) / ZERO_TICKS
+        own -= self._zero
+        self.wrench = self._at_tcp(own, rotation)
+
+    def unzeroed(self, rotation: FloatArray) -> FloatArray:
+        """Return the latest reading as `wrench`, (n, 6), but without any zero.
+
+        Args:
+            rotation: (n, 3, 3) orientation of the flange at that reading.
+        """
+        return self._at_tcp(self.raw - self._gravity(rotation), rotation)
+
+    def sense(self, carried: FloatArray) -> FloatArray:
+        """Return the reading (n, 6) that the sensor's electronics make of the true load, before its range ends it."""
         self._slot = (self._slot + 1) % MAX_DELAY
         self._history[self._slot] = carried
         fresh = self._tick == 0
@@ -93,23 +113,23 @@ class ForceTorqueSensor:
         raw = self._history[(self._slot - self._delay + 1) % MAX_DELAY, self._rows]
         raw += self._noise[self._rows, self._tick % NOISE_ROWS]
         raw += self._bias
-        raw += self._drift * self._tick[:, None]
+        raw += self._drift * np.minimum(self._tick, DRIFT_TICKS)[:, None]
         self._tick += 1
-        np.any(np.abs(raw) >= RANGE, axis=1, out=self.saturated)
-        self.raw = np.clip(raw, -RANGE, RANGE)
-        own = self.raw - self._gravity(rotation)
-        self._average += (own - self._average) / ZERO_TICKS
-        own -= self._zero
-        force = np.einsum("nij,nj->ni", rotation, own[:, :3])
-        own[:, 3:] -= own[:, :3] @ self._tcp  # the moment about the TCP
-        self.wrench[:, :3] = force
-        self.wrench[:, 3:] = np.einsum("nij,nj->ni", rotation, own[:, 3:])
+        return raw
 
     def zero(self, cells: npt.NDArray[np.int64]) -> None:
         """Take the running average of the latest readings as the zero of `cells`; meaningless in contact or
         in motion.
         """
         self._zero[cells] = self._average[cells]
+
+    def _at_tcp(self, own: FloatArray, rotation: FloatArray) -> FloatArray:
+        """Return a wrench at the TCP, base axes, of one about the flange, flange axes; (n, 6) each."""
+        wrench = np.empty_like(own)
+        wrench[:, :3] = np.einsum("nij,nj->ni", rotation, own[:, :3])
+        own[:, 3:] -= own[:, :3] @ self._tcp  # the moment about the TCP
+        wrench[:, 3:] = np.einsum("nij,nj->ni", rotation, own[:, 3:])
+        return wrench
 
     def _gravity(self, rotation: FloatArray) -> FloatArray:
         """Return the wrench of the configured payload's weight, (n, 6), flange axes: force along base -z at

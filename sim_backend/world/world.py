@@ -60,6 +60,8 @@ class World:
         batch = self._batch
         self._qpos, self._qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self._block_position, self._block_quat = batch.bind("mocap_pos")[:, 0], batch.bind("mocap_quat")[:, 0]
+        self._servo_torques, self._constraint_torques = batch.bind("actuator_force"), batch.bind("qfrc_constraint")
+        self._passive_torques, self._bias_torques = batch.bind("qfrc_passive"), batch.bind("qfrc_bias")
         self._warmstart = batch.bind("qacc_warmstart")
         self._load = batch.bind("sensordata")
         site = model.site("tcp").id
@@ -179,9 +181,9 @@ class World:
         scaled = np.broadcast_to(stiffness, (len(cells), 6)) * self._stiffness_scale[cells, None]
         return self.arm.engage(cells, scaled, damping, inertia, limits)
 
-    def stop(self, cells: CellIndices) -> None:
-        """Stop arms as a client's command does."""
-        self.arm.stop(cells, StopReason.COMMAND)
+    def stop(self, cells: CellIndices, *, blind: bool = False) -> None:
+        """Stop arms as a client's command does; `blind`: without yielding to the sensor."""
+        self.arm.stop(cells, StopReason.COMMAND, blind=blind)
 
     def tick(self) -> None:
         """Advance every cell by one tick of 2 ms, driven by its arm controller."""
@@ -242,6 +244,17 @@ class World:
         return np.einsum("nij,nj->ni", self.arm.jacobian, self._qvel[:, :6])
 
     @property
+    def joint_torques(self) -> FloatArray:
+        """(n, 6) torques of the joint servos in the last tick, N·m; the links' own weight is not in them."""
+        return self._servo_torques
+
+    @property
+    def inertial_torques(self) -> FloatArray:
+        """(n, 6) torques that accelerated the joints in the last tick, N·m."""
+        forces = self._constraint_torques[:, :6] + self._passive_torques[:, :6] - self._bias_torques[:, :6]
+        return self._servo_torques + forces
+
+    @property
     def joint_speeds(self) -> FloatArray:
         """(n, 6) measured, rad/s."""
         return self._qvel[:, :6]
@@ -292,6 +305,16 @@ class World:
     def true_force(self) -> FloatArray:
         """(n,) resultant of the true load on the flange, N: contact, weight and inertia."""
         return np.sqrt((self._load[:, :3] ** 2).sum(axis=1))
+
+    @property
+    def contact_force(self) -> FloatArray:
+        """(n, 3) true force of the surroundings on the peg in the last tick, N, base frame: no weight, no inertia.
+
+        Contacts are the only constraints on the arm's own joints, so their generalised forces are those of a wrench.
+        """
+        jacobian = kinematics.jacobian(self.joints, (0.0, 0.0, scene.TCP_OFFSET_M))
+        torques = self._constraint_torques[:, :6, None]
+        return np.asarray(np.linalg.solve(jacobian.transpose(0, 2, 1), torques)[:, :3, 0], np.float64)
 
     def momentum(self, cell: int = 0) -> tuple[float, float, float]:
         """Return the linear momentum of one cell's arm and its load, base frame, kg·m/s."""

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy.typing as npt
 
-from sim_backend.requests import RequestError, read_task
+from sim_backend.holding import SIGNATURE, SIGNED, Holding
+from sim_backend.requests import RequestError, read_parameters, read_task
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire import records
 
@@ -38,44 +39,61 @@ def read_commands(payload: bytes) -> list[npt.NDArray[Any]]:
     return [commands[index, ...] for index in range(len(commands))]
 
 
-def advance(cell: SimulatedCell, parameters: str, payload: bytes) -> bytes:
+def apply(cell: SimulatedCell, holding: Holding, command: npt.NDArray[Any]) -> None:
+    """Carry out a command if it is the holder's.
+
+    The cell is told the holder's number in place of its word, because states are published.
+    """
+    if holding.admits(command):
+        numbered = command.copy()
+        numbered["client"] = holding.number
+        cell.apply(numbered)
+
+
+def advance(cell: SimulatedCell, holding: Holding, parameters: str, payload: bytes) -> bytes:
     """Apply commands in order, then advance simulated time.
 
     Args:
         cell: the world to advance.
-        parameters: `ticks=N`, N from 1 to `MAX_TICKS`.
+        holding: of the world; the request must be the holder's.
+        parameters: `ticks=N`, N from 1 to `MAX_TICKS`, with `client` and `seq` of the holder.
         payload: zero or more `records.COMMAND` records.
 
     Returns:
         N records of `records.STATE`, one per tick.
 
     Raises:
-        RequestError: the request cannot be read.
+        RequestError: the request cannot be read, or is not the holder's.
     """
-    ticks = _read_ticks(parameters)
+    read = read_parameters(parameters, f"ticks=N with N from 1 to {MAX_TICKS}, and {SIGNATURE}", "ticks", *SIGNED)
+    ticks = _read_ticks(read.get("ticks", ""))
     try:
         commands = read_commands(payload) if payload else []
     except records.WireError as error:
         raise RequestError(f"advance: {error}") from error
+    holding.check(read, "advance")
     for command in commands:
-        cell.apply(command)
+        apply(cell, holding, command)
     return b"".join([cell.tick().tobytes() for _ in range(ticks)])
 
 
-def reset(cell: SimulatedCell, payload: bytes) -> bytes:
+def reset(cell: SimulatedCell, holding: Holding, parameters: str, payload: bytes) -> bytes:
     """Lay the world out anew.
 
     Args:
         cell: the world to lay out.
+        holding: of the world; the request must be the holder's.
+        parameters: `client` and `seq` of the holder.
         payload: JSON object of a `Task`.
 
     Returns:
         One record of `records.STATE`.
 
     Raises:
-        RequestError: as `read_task`, or the task cannot be laid out.
+        RequestError: as `read_task`, the task cannot be laid out, or the request is not the holder's.
     """
     task = read_task(payload)
+    holding.check(read_parameters(parameters, SIGNATURE, *SIGNED), "reset")
     try:
         return cell.reset(task).tobytes()
     except ValueError as error:
@@ -87,8 +105,7 @@ def truth(cell: SimulatedCell) -> bytes:
     return json.dumps(cell.truth()).encode()
 
 
-def _read_ticks(parameters: str) -> int:
-    name, _, value = parameters.partition("=")
-    if name == "ticks" and value.isascii() and value.isdigit() and len(value) <= 9 and 1 <= int(value) <= MAX_TICKS:
+def _read_ticks(value: str) -> int:
+    if value.isascii() and value.isdigit() and len(value) <= 9 and 1 <= int(value) <= MAX_TICKS:
         return int(value)
-    raise RequestError(f"advance: parameters must be ticks=N with N from 1 to {MAX_TICKS}, not {parameters[:80]!r}")
+    raise RequestError(f"advance: parameters must have ticks=N with N from 1 to {MAX_TICKS}, not {value[:80]!r}")

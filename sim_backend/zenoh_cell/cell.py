@@ -6,7 +6,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sim_backend.world import quaternion
+from sim_backend.world import quaternion, scene
+from sim_backend.world.joint_sense import JointSense
 from sim_backend.world.world import World
 from wire import pose
 from wire.arrays import RecordArray
@@ -28,6 +29,8 @@ _ENGAGE_RANGES = {
 """Values with which the control program can compute, in wire units; far wider than sane. Others make ENGAGE ignored."""
 
 _ONLY = np.array([0])
+_CENTRE = (0.0, 0.0, scene.PAYLOAD_COM_M)
+_TCP = (0.0, 0.0, scene.TCP_OFFSET_M)
 
 
 class SimulatedCell:
@@ -43,10 +46,16 @@ class SimulatedCell:
         self.epoch = epoch if epoch is not None else secrets.randbits(63)
         self._world = World(1, part)
         self._task = Task(0, part)
+        self._joint_sense = JointSense()
         self._episode = 0
         self._seq = 0
         self._client = 0
         self._command_seq = 0
+
+    @property
+    def world(self) -> World:
+        """The world behind the wire, for tests of what a client must not see; a task with another part replaces it."""
+        return self._world
 
     def model(self) -> mujoco.MjModel:
         """Copy the MuJoCo model of the present episode: its clearance, grasp and plant."""
@@ -67,6 +76,7 @@ class SimulatedCell:
             self._world = World(1, task.part)
             self.part = task.part
         self._world.reset(_ONLY, [task])
+        self._joint_sense.begin(task.seed)
         self._task = task
         self._episode += 1
         self._client = self._command_seq = 0
@@ -76,8 +86,8 @@ class SimulatedCell:
         """Carry out one `records.COMMAND`. Never raises: a command for another world, or not allowed, is ignored."""
         kind, client = int(command["kind"]), int(command["client"])
         arm = self._world.arm
-        if kind == Kind.STOP:
-            self._world.stop(_ONLY)
+        if kind in (Kind.STOP, Kind.STOP_BLIND):
+            self._world.stop(_ONLY, blind=kind == Kind.STOP_BLIND)
             return
         if int(command["epoch"]) != self.epoch:
             return
@@ -99,6 +109,7 @@ class SimulatedCell:
     def tick(self) -> RecordArray:
         """Advance by one tick; return the new state, (1,) of `records.STATE`."""
         self._world.tick()
+        self._joint_sense.read(self._world, scene.PAYLOAD_KG, _CENTRE, _TCP)
         self._seq += 1
         return self.state()
 
@@ -123,6 +134,8 @@ class SimulatedCell:
         row["robot_mode"] = RobotMode.RUNNING
         row["safety_mode"] = SafetyMode.PROTECTIVE_STOP if program == Program.PROTECTIVE_STOP else SafetyMode.NORMAL
         row["saturated"] = world.sensor.saturated[0]
+        row["unzeroed"] = world.sensor.unzeroed(world.rotation)[0]
+        row["joint_force"] = self._joint_sense.force
         return record
 
     def truth(self) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 import numpy.typing as npt
 import zenoh
 
+from sim_backend.holding import Holding
 from sim_backend.metronome import Metronome
 from sim_backend.requests import RequestError, asked, query_keys
 from sim_backend.zenoh_cell import answers
@@ -24,7 +25,11 @@ _COMMAND_CAPACITY = 256
 MAX_COMMANDS_PER_TICK = 32
 """Commands that one tick applies; if more arrive, the newest are kept. STOP is never dropped."""
 
-_QUERIES = {"advance": keys.ADVANCE, "reset": keys.RESET, "info": keys.INFO, "truth": keys.TRUTH}
+_QUERIES = {
+    "advance": keys.ADVANCE, "reset": keys.RESET, "claim": keys.CLAIM, "release": keys.RELEASE,
+    "info": keys.INFO, "truth": keys.TRUTH,
+}  # fmt: skip
+_READINGS = ("info", "truth")
 
 
 class Pace(StrEnum):
@@ -45,6 +50,7 @@ class Counters:
     commands: int = 0
     commands_malformed: int = 0
     commands_dropped: int = 0
+    commands_refused: int = 0
     queries_refused: int = 0
 
 
@@ -68,13 +74,15 @@ class Server:
         """
         self.counters = Counters()
         self._cell = cell
+        self._holding = Holding()
+        self._command_key = keys.COMMAND.format(world=world)
         self._mode = mode
         self._degraded = list(degraded)
         self._keys = query_keys(world, _QUERIES)
         self._queries = session.declare_queryable(f"sim/{world}/*", zenoh.handlers.FifoChannel(_QUERY_CAPACITY))
         if mode is Pace.REAL_TIME:
             self._commands = session.declare_subscriber(
-                keys.COMMAND.format(world=world), zenoh.handlers.FifoChannel(_COMMAND_CAPACITY)
+                self._command_key, zenoh.handlers.FifoChannel(_COMMAND_CAPACITY)
             )
             self._state = session.declare_publisher(
                 keys.STATE.format(world=world),
@@ -102,7 +110,7 @@ class Server:
         while True:
             metronome.wait()
             for command in self._take_commands():
-                self._cell.apply(command)
+                answers.apply(self._cell, self._holding, command)
             self._state.put(self._cell.tick().tobytes())
             self.counters.ticks += 1
             self.counters.overruns = metronome.overruns
@@ -120,13 +128,16 @@ class Server:
             sample = self._commands.try_recv()
             if sample is None:
                 break
+            if str(sample.key_expr) != self._command_key:
+                self._holding.refused += 1  # a wildcard reaches many worlds and commands none
+                continue
             try:
                 commands = answers.read_commands(sample.payload.to_bytes())
             except records.WireError:
                 self.counters.commands_malformed += 1
                 continue
             for command in commands:
-                if command["kind"] == records.Kind.STOP:
+                if command["kind"] in (records.Kind.STOP, records.Kind.STOP_BLIND):
                     self.counters.commands_dropped += len(others)
                     others.clear()
                     stops.append(command)
@@ -141,7 +152,7 @@ class Server:
         """Reply to one query; return True if it laid out the world, which takes longer than a tick."""
         with query:
             try:
-                name = asked(query, self._keys)
+                name = asked(query, self._keys, _READINGS)
                 reply = self._carry_out(name, query)
             except RequestError as error:
                 self.counters.queries_refused += 1
@@ -152,22 +163,30 @@ class Server:
 
     def _carry_out(self, name: str, query: zenoh.Query) -> bytes:
         payload = query.payload.to_bytes() if query.payload is not None else b""
-        if name == "reset":
-            if self._mode is Pace.REAL_TIME:
-                self.counters.commands_dropped += len(self._take_commands())  # meant for the episode that ends here
-            return answers.reset(self._cell, payload)
         if name == "truth":
             return answers.truth(self._cell)
         if name == "info":
             return self._info()
+        parameters = str(query.parameters)
+        if name == "claim":
+            return self._holding.claim(parameters, payload)
+        if name == "release":
+            self._holding.release(parameters)
+            return b""
+        if name == "reset":
+            reply = answers.reset(self._cell, self._holding, parameters, payload)
+            if self._mode is Pace.REAL_TIME:
+                self.counters.commands_dropped += len(self._take_commands())  # meant for the episode that ends here
+            return reply
         if self._mode is Pace.REAL_TIME:
             raise RequestError("advance: this world runs in real time; only a lockstep world is advanced by its client")
-        reply = answers.advance(self._cell, str(query.parameters), payload)
+        reply = answers.advance(self._cell, self._holding, parameters, payload)
         self.counters.ticks += len(reply) // records.STATE.itemsize
         self.counters.commands += len(payload) // records.COMMAND.itemsize
         return reply
 
     def _info(self) -> bytes:
+        self.counters.commands_refused = self._holding.refused
         document = {
             "version": records.VERSION,
             "mode": self._mode,
@@ -175,6 +194,7 @@ class Server:
             "tick_s": records.TICK_S,
             "part": self._cell.part,
             "degraded": self._degraded,
+            "holder": self._holding.described(),
             "counters": asdict(self.counters),
         }
         return json.dumps(document).encode()

@@ -19,6 +19,7 @@ from api.application import create_app
 from api.runtime import Runtime
 from service import messages
 from service.config import CellConfig, load
+from service.envelope import QUERY_TICKET, TicketResult
 from service.faults import FaultCode
 from service.messages import (
     CellState,
@@ -141,6 +142,7 @@ class WireCell:
         answers: dict[str, Callable[[bytes], Message | None]] = {
             messages.STOP: self._stop,
             messages.RESET: self._reset,
+            QUERY_TICKET: lambda _payload: TicketResult(ticket="0" * 32, service_epoch=self.epoch),
             messages.QUERY_STATUS: lambda _payload: StatusResult(status=self.status()),
             messages.QUERY_RUNS: self._list,
             messages.QUERY_RUN: self._find,
@@ -233,7 +235,7 @@ class WireCell:
             self.runs[-1] = self.run
 
     def _start(self, payload: bytes) -> Message | None:
-        request = StartRequest.model_validate_json(payload)
+        request = StartRequest.model_validate(json.loads(payload)["request"])
         if self.deaf_to_starts:
             return None
         with self._lock:
@@ -262,7 +264,7 @@ class WireCell:
 
     def _stop(self, payload: bytes) -> Message:
         with self._lock:
-            self.stops.append(json.loads(payload)["reason"])
+            self.stops.append(json.loads(payload)["request"]["reason"])
             if self.state is CellState.RUNNING:
                 self.state = CellState.STOPPING
                 if self.arm_stops:
@@ -270,7 +272,7 @@ class WireCell:
             return StatusResult(status=self.status())
 
     def _reset(self, payload: bytes) -> Message:
-        request = ResetRequest.model_validate_json(payload)
+        request = ResetRequest.model_validate(json.loads(payload)["request"])
         with self._lock:
             self.resets.append(request)
             if self.latch is None:

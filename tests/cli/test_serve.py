@@ -1,4 +1,5 @@
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -11,6 +12,7 @@ import pytest
 from service.program import command
 from tests.api.wire_cell import WireCell, free_port
 from tests.cli.serving import served, wait_for_state
+from tests.service.test_logs import full_pipe
 
 
 def serve(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -39,6 +41,33 @@ def test_a_port_in_use_is_one_line_and_starts_nothing(config_path: Path) -> None
     assert "another --port" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert not (config_path.parent / "var").exists()
+
+
+def test_76_a_stop_is_answered_although_nobody_reads_the_log(config_path: Path, cell: WireCell) -> None:
+    port = free_port()
+    read, write = full_pipe()
+    process = subprocess.Popen(command("serve", "--config", str(config_path), "--port", str(port)), stderr=write)
+    try:
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", trust_env=False, timeout=5) as http:
+            deadline = time.monotonic() + 60
+            while True:
+                assert time.monotonic() < deadline, "it serves"
+                try:
+                    if http.get("/status").json()["state"] == "READY":
+                        break
+                except httpx.ConnectError:
+                    pass
+                time.sleep(0.05)
+            for _ in range(50):
+                assert http.get("/runs").status_code == 200
+            assert http.post("/stop").status_code == 200
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 0
+    finally:
+        process.kill()
+        process.wait()
+        os.close(read)
+        os.close(write)
 
 
 def test_a_configuration_that_cannot_be_used_names_the_field(config_path: Path) -> None:

@@ -26,6 +26,7 @@ class Outbox:
         self._written = 0
         self._command = Command.STOP
         self._values = input_values(0, Command.STOP, ())
+        self._is_blind = False
         self._handled = 0
         self._waiting: deque[tuple[int, Command, Sequence[float]]] = deque()
 
@@ -62,13 +63,17 @@ class Outbox:
             self._write(*order)
         return self._sequence
 
-    def stop(self) -> None:
-        """Write a stop, or repeat the one in the register."""
-        if self._command is Command.STOP:
+    def stop(self, *, blind: bool = False) -> None:
+        """Write a stop, or repeat the one in the register.
+
+        Args:
+            blind: do not yield to the sensor meanwhile; a blind stop stays blind.
+        """
+        if self._command is Command.STOP and (self._is_blind or not blind):
             self._waiting.clear()
             self.repeat()
         else:
-            self.put(Command.STOP)
+            self.put(Command.STOP, (1.0,) if blind else ())
 
     def observe(self, handled: int) -> bool:
         """Record the last number that the program handled; return True if an order was written."""
@@ -87,6 +92,6 @@ class Outbox:
         return replaceable or self._handled >= self._written
 
     def _write(self, sequence: int, command: Command, arguments: Sequence[float]) -> None:
-        self._written, self._command = sequence, command
+        self._written, self._command, self._is_blind = sequence, command, command is Command.STOP and bool(arguments)
         self._values = input_values(sequence, command, arguments)
         self._send(self._values)

@@ -134,19 +134,30 @@ class UrDriver:
     async def prepare(self, task: Task | None) -> None:
         """Have the arm ready and the control program running, and lay out a simulated world.
 
-        The gate runs again, without the sensor's check, which the run makes itself: at the time of the connection the
-        arm may have had no power, so the earlier results may no longer hold.
+        The gate runs again: at the time of the connection the arm may have had no power, so the earlier results may no
+        longer hold. A tool that carries a load gets no control program, because its start would zero the load away; in
+        a simulated world the layout frees the tool.
 
         Raises:
-            DriverError: AUTHORITY, the arm is not ours to move; PROTOCOL, a seed for a real arm.
+            DriverError: AUTHORITY, the arm is not ours to move; CONTACT_AT_START, the tool carries a load; PROTOCOL, a
+                seed for a real arm.
         """
         if self._world_setup is None and task is not None:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name} is real and has no seed: leave it out")
-        facts = await gate.measure_program(self._link, self._ur, prove_watchdog=not self._proven)
-        checks = gate.judge_program(facts, self._ur)
-        if failed := gate.failures(checks):
-            raise DriverError(FaultCode.AUTHORITY, "; ".join(check.text for check in failed))
-        self._note(checks)
+        facts = await gate.measure(
+            self._link,
+            self._ur,
+            self._preflight,
+            prove_watchdog=not self._proven,
+            load=self._world_setup is None and not self._link.watch.running,
+        )
+        for code, checks in (
+            (FaultCode.AUTHORITY, gate.judge_program(facts, self._ur)),
+            (FaultCode.CONTACT_AT_START, gate.judge_load(facts, self._ur, self._preflight)),
+        ):
+            if failed := gate.failures(checks):
+                raise DriverError(code, "; ".join(check.text for check in failed))
+            self._note(checks)
         self._proven = self._proven or facts.watchdog_s is not None
         if self._world_setup is not None:
             await self._lay_out(self._world_setup, task)
@@ -170,6 +181,9 @@ class UrDriver:
 
     def stop(self) -> None:
         self._link.outbox.stop()
+
+    def stop_blind(self) -> None:
+        self._link.outbox.stop(blind=True)
 
     def zero_ft(self) -> None:
         self._link.outbox.put(Command.ZERO_FT)

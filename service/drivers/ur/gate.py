@@ -35,7 +35,7 @@ WATCHDOG_MARGIN_S = 0.1
 CONFIGURED_S = 1.0
 """Time within which the outputs must show the payload and TCP set by the program, s."""
 
-UNSAFE = frozenset({"PolyScope", "registers", "payload", "TCP", "watchdog"})
+UNSAFE = frozenset({"PolyScope", "robot", "registers", "payload", "TCP", "watchdog"})
 """Checks without which a cell is not connected at all. The other failures prevent a run; an operator corrects them
 while watching the arm's samples.
 """
@@ -75,15 +75,20 @@ class Facts:
 
     Attributes:
         version: version of PolyScope.
+        model: model of the robot, as the dashboard names it.
+        serial: serial number of the robot.
         remote_control: the controller takes programs from the network.
         package: package with the arm's present state.
         configured: package taken while the control program runs, with the payload and TCP that it has set.
-        wrenches: (n, 6) N and N·m at the TCP of a standing arm, with the sensor's present zero.
+        wrenches: (n, 6) N and N·m at the TCP of a standing arm: the sensor's own reading, never zeroed, less the weight
+            of the payload of `[ur]`; taken before the control program is sent, which zeroes the sensor.
         round_trip_s: round trip of an empty order, s; infinite if it was lost.
         watchdog_s: time from the last package to the program's end, s; infinite if it never ended.
     """
 
     version: tuple[int, int, int] | None = None
+    model: str | None = None
+    serial: str | None = None
     remote_control: bool | None = None
     package: Package | None = None
     configured: Package | None = None
@@ -94,17 +99,27 @@ class Facts:
 
 def judge(facts: Facts, ur: UrSection, preflight: PreflightSection) -> tuple[Check, ...]:
     """Judge the facts against the configuration, in the order in which an operator would correct them."""
-    return (*judge_arm(facts), *_judge_program(facts, ur), *_judge_sensor(facts, ur, preflight))
+    return (
+        *judge_arm(facts, ur),
+        *judge_load(facts, ur, preflight),
+        *_judge_noise(facts, preflight),
+        *_judge_program(facts, ur),
+    )
 
 
-def judge_arm(facts: Facts) -> tuple[Check, ...]:
+def judge_arm(facts: Facts, ur: UrSection) -> tuple[Check, ...]:
     """Make the checks that precede the control program; they neither move nor change anything."""
-    return tuple(_judge_arm(facts))
+    return tuple(_judge_arm(facts, ur))
+
+
+def judge_load(facts: Facts, ur: UrSection, preflight: PreflightSection) -> tuple[Check, ...]:
+    """Judge what loads the tool before the control program is sent: its start would zero the load away."""
+    return tuple(_judge_load(facts, ur, preflight))
 
 
 def judge_program(facts: Facts, ur: UrSection) -> tuple[Check, ...]:
     """Make the checks of arm and control program that precede every run."""
-    return (*judge_arm(facts), *_judge_program(facts, ur))
+    return (*judge_arm(facts, ur), *_judge_program(facts, ur))
 
 
 def tool_failures(package: Package, ur: UrSection) -> tuple[Check, ...]:
@@ -123,47 +138,42 @@ async def measure_arm(link: UrLink, ur: UrSection) -> Facts:
     Raises:
         DriverError: LINK, the dashboard does not answer or no data arrive.
     """
+    if link.version >= END_VERSION:  # PolyScope X has no dashboard server
+        return Facts(version=link.version)
     try:
         async with dashboard(ur) as client:
+            model, serial = await client.robot_model(), await client.serial_number()
             remote = await client.is_in_remote_control()
     except DashboardError as error:
         raise DriverError(FaultCode.LINK, str(error)) from error
-    return Facts(version=link.version, remote_control=remote, package=link.newest)
+    return Facts(version=link.version, model=model, serial=serial, remote_control=remote, package=link.newest)
 
 
-async def measure(link: UrLink, ur: UrSection, preflight: PreflightSection, *, prove_watchdog: bool) -> Facts:
-    """Collect all facts. Those beyond the arm's own need the control program, which is sent if it does not run.
+async def measure(
+    link: UrLink, ur: UrSection, preflight: PreflightSection, *, prove_watchdog: bool, load: bool = True
+) -> Facts:
+    """Collect the facts. Those beyond the arm's own need the control program, which is sent if it does not run.
+
+    A program is not sent to an arm whose tool carries a load: its start zeroes the sensor.
 
     Args:
         link: open link.
         ur: section of the configuration.
         preflight: section with the number of samples to judge.
         prove_watchdog: let the watchdog end the program once, and start it again.
+        load: measure the load of the tool first.
 
     Raises:
         DriverError: a fact cannot be measured. An arm that fails its own checks is no error; the remaining facts stay
             None.
     """
-    facts = await measure_program(link, ur, prove_watchdog=prove_watchdog)
-    if facts.configured is None:
-        return facts
-    return replace(facts, wrenches=await _window(link, SampleReader(ur), preflight.window_samples))
-
-
-async def measure_program(link: UrLink, ur: UrSection, *, prove_watchdog: bool) -> Facts:
-    """Collect the facts about arm and control program: all except those of the sensor.
-
-    Args:
-        link: open link.
-        ur: section of the configuration.
-        prove_watchdog: let the watchdog end the program once, and start it again.
-
-    Raises:
-        DriverError: as `measure`.
-    """
     facts = await measure_arm(link, ur)
-    if failures(judge_arm(facts)):
+    if failures(judge_arm(facts, ur)):
         return facts
+    if load:
+        facts = replace(facts, wrenches=await _window(link, SampleReader(ur), preflight.window_samples))
+        if failures(judge_load(facts, ur, preflight)):
+            return facts
     await link.run_program()
     round_trip_s = await link.exchange(1.0)
     await link.until(lambda package: not tool_failures(package, ur), CONFIGURED_S)
@@ -189,21 +199,32 @@ async def _window(link: UrLink, reader: SampleReader, samples: int) -> FloatArra
         nonlocal seen
         if package.tick != seen:
             seen = package.tick
-            taken.append(reader.wrench(package))
+            taken.append(reader.unzeroed(package))
         return len(taken) >= samples
 
     await link.until(take, samples / 50.0)
     return np.array(taken)
 
 
-def _judge_arm(facts: Facts) -> Iterator[Check]:
+def _judge_arm(facts: Facts, ur: UrSection) -> Iterator[Check]:
     version = facts.version
+    is_x = version is not None and version >= END_VERSION
     yield _check(
         "PolyScope",
-        None if version is None else ".".join(map(str, version)),
+        None if version is None else f"{'X, ' if is_x else ''}{'.'.join(map(str, version))}",
         version is not None and MIN_VERSION <= version < END_VERSION,
         f"from {'.'.join(map(str, MIN_VERSION))}, below 6",
-        "update the controller's software, or use another one: this driver is written for PolyScope 5",
+        "use a controller with PolyScope 5: this driver needs its dashboard server and script, which PolyScope X does "
+        "not have"
+        if is_x
+        else "update the controller's software: this driver is written for PolyScope 5",
+    )
+    yield _check(
+        "robot",
+        None if facts.serial is None else f"{facts.model}, serial number {facts.serial}",
+        ur.model in (None, facts.model) and ur.serial in (None, facts.serial),
+        f"{ur.model or 'any model'}, serial number {ur.serial or 'any'}",
+        "another robot answers at this address: correct ur.host, or ur.model and ur.serial",
     )
     yield _check(
         "remote control",
@@ -285,22 +306,28 @@ def _judge_program(facts: Facts, ur: UrSection) -> Iterator[Check]:
     )
 
 
-def _judge_sensor(facts: Facts, ur: UrSection, preflight: PreflightSection) -> Iterator[Check]:
+def _judge_load(facts: Facts, ur: UrSection, preflight: PreflightSection) -> Iterator[Check]:
     wrenches = facts.wrenches
     if wrenches is None or len(wrenches) < 2:
-        yield Check("F/T bias", "not measured", Verdict.SKIPPED)
-        yield Check("F/T noise", "not measured", Verdict.SKIPPED)
+        yield Check("F/T load", "not measured", Verdict.SKIPPED)
         return
     mean = wrenches.mean(axis=0)
     force_n, torque_nm = hypot(*mean[:3].tolist()), hypot(*mean[3:].tolist())
     limit_n, limit_nm = preflight.unzeroed_force_n, preflight.unzeroed_torque_nm
     yield _check(
-        "F/T bias",
-        f"{force_n:.1f} N, {torque_nm:.2f} N·m",
+        "F/T load",
+        f"{force_n:.1f} N, {torque_nm:.2f} N·m beside the payload",
         force_n < limit_n and torque_nm < limit_nm,
         f"below {limit_n:g} N, {limit_nm:g} N·m",
         f"free the tool; if it is free, weigh the payload again ({ur.payload_kg:g} kg is configured)",
     )
+
+
+def _judge_noise(facts: Facts, preflight: PreflightSection) -> Iterator[Check]:
+    wrenches = facts.wrenches
+    if wrenches is None or len(wrenches) < 2:
+        yield Check("F/T noise", "not measured", Verdict.SKIPPED)
+        return
     spread = wrenches.std(axis=0)
     noise_n, noise_nm = float(spread[:3].max()), float(spread[3:].max())
     limit_n, limit_nm = preflight.noise_force_n, preflight.noise_torque_nm

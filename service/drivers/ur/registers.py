@@ -18,7 +18,9 @@ class Command(IntEnum):
     TARGET = 2
     """Arguments: TCP pose (6), base frame, m and rad."""
     STOP = 3
-    """A level, not an edge: it holds while it stands in the register, whatever its sequence number."""
+    """A level, not an edge: it holds while it stands in the register, whatever its sequence number. Argument: 1 for a
+    stop that does not yield to the sensor, else 0.
+    """
     ZERO_FT = 4
 
 

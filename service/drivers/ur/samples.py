@@ -17,6 +17,7 @@ from wire.rtde.modes import RuntimeState, SafetyMode
 
 ALIVE_S = 0.1
 """Time without a change of its counter after which a program does not run. Zeroing the sensor may take some steps."""
+GRAVITY_M_S2 = 9.81
 WINDOW_S = 0.5
 """Window over which the minimum delay is tracked, s; the minimum covers one to two windows."""
 
@@ -36,6 +37,7 @@ class Package(NamedTuple):
     tcp_speed: Numbers
     tcp_force: Numbers
     ft_raw: Numbers
+    felt: Numbers
     robot_mode: int
     safety_mode: int
     runtime_state: int
@@ -70,6 +72,7 @@ OUTPUTS: tuple[str, ...] = (
     "actual_TCP_speed",
     "actual_TCP_force",
     "ft_raw_wrench",
+    "wrench_calc_from_currents",
     "robot_mode",
     "safety_mode",
     "runtime_state",
@@ -158,6 +161,9 @@ class SampleReader:
         rotation = pose.rotation_from_rotvec(ur.tcp_m[3:])
         lever: list[float] = (rotation.T @ np.array(ur.tcp_m[:3])).tolist()
         self._lever = lever if ur.torque_about == "flange" else [0.0, 0.0, 0.0]
+        self._tcp_m = ur.tcp_m[:3]
+        self._weight_n = ur.payload_kg * GRAVITY_M_S2
+        self._com_m = ur.payload_com_m
         self._ranges = (ur.force_range_n,) * 3 + (ur.torque_range_nm,) * 3
         self._time_s = 0.0
         self._epoch = 1
@@ -193,6 +199,9 @@ class SampleReader:
             tcp_rotvec=np.array(package.tcp_pose[3:]),
             tcp_velocity=np.array(package.tcp_speed),
             wrench=self.wrench(package),
+            unzeroed=self.unzeroed(package),
+            ft_raw=np.array(package.ft_raw),
+            joint_force=np.array(package.felt[:3]),
             saturated=any(not abs(felt) < end for felt, end in zip(package.ft_raw, self._ranges, strict=True)),
             hole_estimate=hole_estimate,
             program=program,
@@ -208,6 +217,19 @@ class SampleReader:
         fx, fy, fz, tx, ty, tz = package.tcp_force
         x, y, z = _turned(self._lever, package.tcp_pose[3:])
         return np.array([fx, fy, fz, tx - (y * fz - z * fy), ty - (z * fx - x * fz), tz - (x * fy - y * fx)])
+
+    def unzeroed(self, package: Package) -> FloatArray:
+        """Return the raw reading less the configured payload's weight, at the configured TCP (6,), base axes.
+
+        A controller zeroes its sensor whenever a program starts and whenever the payload is set, in contact too. The
+        raw reading does not change then, and depends neither on payload nor on TCP that the controller has at present.
+        """
+        tool = pose.rotation_from_rotvec(np.array(package.tcp_pose[3:]))
+        flange = tool @ pose.rotation_from_rotvec(np.array(package.tcp_offset[3:])).T
+        weight = -self._weight_n * flange[2]
+        force = np.array(package.ft_raw[:3]) - weight
+        torque = np.array(package.ft_raw[3:]) - np.cross(self._com_m, weight) - np.cross(self._tcp_m, force)
+        return np.concatenate((flange @ force, flange @ torque))
 
     @staticmethod
     def _state(package: Package, running: bool) -> tuple[Program, StopReason]:

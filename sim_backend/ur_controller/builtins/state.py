@@ -33,8 +33,10 @@ def state_builtins(controller: Controller) -> dict[str, Builtin]:
     plant = controller.plant
 
     def carry(kg: float, cog: Sequence[float], inertia: Sequence[float] | None = None) -> None:
+        """Configure the payload, and zero the sensor: the manual says both of `set_payload`, `set_target_payload`."""
         BUDGET.take(_CONFIGURING_COST)
         plant.set_payload(kg, cog, inertia)
+        plant.zero_ft()
 
     def get_actual_tcp_pose() -> Pose:
         return Pose(plant.tcp_pose())
@@ -91,7 +93,7 @@ def state_builtins(controller: Controller) -> dict[str, Builtin]:
         return Pose(plant.tcp_offset)
 
     def set_payload(m: Value, cog: Value = _KEPT) -> None:
-        carry(_mass(m), _vector(cog, plant.payload_cog, "cog"))
+        carry(_mass(m), _vector(cog, plant.tcp_offset[:3], "cog"), (0.0,) * 6)
 
     def set_payload_mass(m: Value) -> None:
         carry(_mass(m), plant.payload_cog)

@@ -91,6 +91,11 @@ class FaultyDriver:
         if not self.deaf_to_stop:
             self._driver.stop()
 
+    def stop_blind(self) -> None:
+        self._note("stop")
+        if not self.deaf_to_stop:
+            self._driver.stop_blind()
+
     def escalate(self) -> None:
         self._note("escalate")
 

@@ -57,7 +57,7 @@ class LoadedCell(SimulatedCell):
 
 
 @pytest.mark.parametrize("load", [(20.0, 0, 0, 0, 0, 0), (0, 0, -22.0, 0, 0, 0), (0, 0, 0, 0, 0, 3.0)])
-async def test_a_load_that_was_there_before_the_run_is_not_zeroed_away_contact_at_start(
+async def test_09_a_load_that_was_there_before_the_run_is_not_zeroed_away_contact_at_start(
     tmp_path: Path, load: Sequence[float]
 ) -> None:
     drivers: list[FaultyDriver] = []

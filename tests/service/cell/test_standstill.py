@@ -28,6 +28,9 @@ class Arm:
     def stop(self) -> None:
         self.told.append("stop")
 
+    def stop_blind(self) -> None:
+        self.stop()
+
     def escalate(self) -> None:
         self.told.append("escalate")
 

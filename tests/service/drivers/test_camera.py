@@ -114,6 +114,10 @@ async def laid_out_by(answer: Callable[[zenoh.Query], None]) -> object:
     endpoint = free_endpoint()
     with listening(endpoint) as session:
         session.declare_queryable(keys.RESET.format(world="w"), answer)
+        session.declare_queryable(
+            keys.CLAIM.format(world="w"),
+            lambda query: query.reply(query.key_expr, b'{"client": 5, "refused": 0}') or query.drop(),
+        )
         setup = ZenohWorldSetup("w", [endpoint])
         await setup.open()
         try:

@@ -12,9 +12,9 @@ def sample(seq: int, force: float = 0.0, saturated: bool = False) -> Sample:
     wrench = np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])
     return Sample(
         epoch=1, episode=0, seq=seq, time_s=seq * 0.002, arrival_s=seq * 0.002, q=zero6, qd=zero6,
-        tcp_position=zero3, tcp_rotvec=zero3, tcp_velocity=zero6, wrench=wrench, saturated=saturated,
-        hole_estimate=None, program=Program.IDLE, stop_reason=StopReason.NONE, robot_mode=7, safety_mode=1,
-        command_seq=0, peak_force_n=0.0,
+        tcp_position=zero3, tcp_rotvec=zero3, tcp_velocity=zero6, wrench=wrench, unzeroed=wrench,
+        ft_raw=wrench, joint_force=None, saturated=saturated, hole_estimate=None,
+        program=Program.IDLE, stop_reason=StopReason.NONE, robot_mode=7, safety_mode=1, command_seq=0, peak_force_n=0.0,
     )  # fmt: skip
 
 

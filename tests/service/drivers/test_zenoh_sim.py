@@ -136,7 +136,7 @@ def state(**fields: object) -> bytes:
 
 @pytest.fixture
 def impostor() -> AsyncIterator[tuple[str, zenoh.Session]]:
-    """A session that answers `info` like a simulator; the test publishes through it."""
+    """A session that answers `info` and claims like a simulator; the test publishes through it."""
     endpoint = free_endpoint()
     session = open_session(listen=[endpoint])
     info = b'{"version": 1, "mode": "real-time", "epoch": 5, "tick_s": 0.002, "part": "tr"}'
@@ -145,7 +145,12 @@ def impostor() -> AsyncIterator[tuple[str, zenoh.Session]]:
         with query:
             query.reply("sim/world-1/info", info)
 
+    def grant(query: zenoh.Query) -> None:
+        with query:
+            query.reply("sim/world-1/claim", b'{"client": 5, "refused": 0}')
+
     session.declare_queryable("sim/world-1/info", answer)
+    session.declare_queryable("sim/world-1/claim", grant)
     yield endpoint, session
     close_session(session)
 

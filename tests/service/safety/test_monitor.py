@@ -1,3 +1,4 @@
+from collections.abc import Sequence
 from dataclasses import replace
 from math import hypot
 from typing import Any
@@ -11,7 +12,14 @@ from service.faults import FaultCode
 from service.safety.monitor import Monitor, MonitorParameters
 from service.safety.verdict import Verdict
 
-LIMITS = MonitorParameters(force_ceiling_n=30.0, torque_ceiling_nm=3.0, stuck_samples=4, max_age_s=0.02, max_gap_s=0.02)
+LIMITS = MonitorParameters(
+    force_ceiling_n=30.0,
+    torque_ceiling_nm=3.0,
+    stuck_samples=4,
+    stuck_channel_samples=8,
+    max_age_s=0.02,
+    max_gap_s=0.02,
+)
 TICK = 0.002
 
 
@@ -33,6 +41,7 @@ class Source:
             "seq": self.seq,
             "time_s": self.seq * TICK,
             "wrench": quiet if wrench is None else np.array(wrench, np.float64),
+            "raw": quiet,
             "motion": np.zeros(12),
             "saturated": False,
             "now": self.now,
@@ -81,8 +90,11 @@ def test_infinities_that_cancel_are_still_invalid(source: Source) -> None:
     assert source.send([np.inf, -np.inf, 0, 0, 0, 0]).fault is FaultCode.SENSOR_INVALID
 
 
-@pytest.mark.parametrize("change", [{"motion": np.array([[0.0, np.nan]])}, {"time_s": np.nan}, {"time_s": np.inf}])
-def test_a_pose_or_stamp_that_is_not_finite_is_invalid(source: Source, change: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "change",
+    [{"motion": np.array([[0.0, np.nan]])}, {"raw": np.full(6, np.nan)}, {"time_s": np.nan}, {"time_s": np.inf}],
+)
+def test_a_raw_reading_pose_or_stamp_that_is_not_finite_is_invalid(source: Source, change: dict[str, Any]) -> None:
     assert source.send(**change).fault is FaultCode.SENSOR_INVALID
 
 
@@ -108,16 +120,42 @@ def test_a_component_at_the_end_of_the_range_counts_as_above_the_ceiling(channel
     assert source.send(wrench).fault is FaultCode.FORCE_CEILING
 
 
-def test_bit_identical_wrenches_with_fresh_stamps_are_a_stuck_sensor(source: Source) -> None:
-    verdicts = [source.send([1, 2, 3, 0, 0, 0]).fault for _ in range(4)]
-    assert verdicts == [None, None, None, FaultCode.SENSOR_STUCK]
+NOISE = np.random.default_rng(0).normal(0.0, [0.7] * 3 + [0.05] * 3, (2000, 6))
 
 
-def test_a_wrench_that_changes_in_its_last_bit_is_not_stuck(source: Source) -> None:
-    value = 1.0
-    for _ in range(20):
-        value = np.nextafter(value, 2)
-        assert source.send([value, 0, 0, 0, 0, 0]).fault is None
+@pytest.mark.parametrize("where", ["wrench", "raw"])
+@pytest.mark.parametrize(
+    ("channels", "allowed"),
+    [(range(6), 4), (range(3), 4), (range(3, 6), 4), *(([channel], 8) for channel in range(6)), ([0, 4], 8)],
+)
+def test_64_channels_that_do_not_change_by_a_bit_are_stuck_after_their_number_of_samples(
+    source: Source, where: str, channels: Sequence[int], allowed: int
+) -> None:
+    verdicts: list[Verdict] = []
+    for noisy in NOISE[:allowed]:
+        frozen = noisy.copy()
+        frozen[list(channels)] = 0.25
+        verdicts.append(source.send(**{where: frozen}))
+    assert [verdict.fault for verdict in verdicts] == [None] * (allowed - 1) + [FaultCode.SENSOR_STUCK]
+    assert (verdicts[-1].measured, verdicts[-1].limit) == (allowed, allowed)
+    assert ("of the sensor" if where == "raw" else "of the wrench") in verdicts[-1].text
+    if len(channels) == 1:
+        assert f"channel {['Fx', 'Fy', 'Fz', 'Tx', 'Ty', 'Tz'][channels[0]]} " in verdicts[-1].text
+
+
+def test_64_an_honest_sensor_whose_noise_is_its_resolution_is_never_stuck() -> None:
+    source = Source(replace(LIMITS, stuck_samples=10, stuck_channel_samples=25))
+    resolution = np.array([0.7] * 3 + [0.05] * 3)
+    for noisy in np.tile(NOISE, (5, 1)):
+        quantised = np.round(noisy / resolution) * resolution
+        assert source.send(quantised, raw=quantised).fault is None
+
+
+def test_a_channel_that_moves_once_begins_to_count_anew(source: Source) -> None:
+    for index, noisy in enumerate(NOISE[:100]):
+        wrench = noisy.copy()
+        wrench[2] = index // 7
+        assert source.send(wrench).fault is None
 
 
 def test_duplicates_and_older_samples_are_ignored_and_do_not_refresh_the_age(source: Source) -> None:
@@ -133,7 +171,7 @@ def test_duplicates_and_older_samples_are_ignored_and_do_not_refresh_the_age(sou
 
 def test_duplicates_do_not_count_as_a_stuck_sensor(source: Source) -> None:
     for _ in range(20):
-        source.send([1, 2, 3, 0, 0, 0], seq=source.seq)
+        source.send([1, 2, 3, 4, 5, 6], seq=source.seq)
     assert source.send().fault is None
 
 
@@ -217,6 +255,7 @@ def test_nothing_above_a_ceiling_passes(wrench: list[float]) -> None:
         ("torque_ceiling_nm", 0.0),
         ("force_range_n", 0.0),
         ("stuck_samples", 1),
+        ("stuck_channel_samples", 3),
         ("max_age_s", float("inf")),
         ("max_gap_s", 0.0),
     ],

@@ -278,19 +278,67 @@ def test_a_watchdog_that_cannot_be_is_an_error_of_the_program(bench, call):
     assert bench.of(events.RuntimeFailed)
 
 
-def test_a_program_that_asks_for_a_protective_stop_stands_and_has_ended(bench):
+def test_a_program_that_asks_for_a_protective_stop_stands_and_is_paused_there(bench):
     bench.program(
         f"thread mover():\n  {AWAY}\nend\nrun mover()\nsleep(0.4)\nprotective_stop()\nset_digital_out(0, True)"
     )
     bench.until(lambda: bench.controller.safety_mode is SafetyMode.PROTECTIVE_STOP)
     order = [type(event) for event in bench.heard]
-    assert order == [events.ProgramStarted, events.SafetyChanged, events.ProgramStopped]
+    assert order == [events.ProgramStarted, events.SafetyChanged]
     bench.run(100)
     assert np.abs(bench.plant.qd).max() < 1e-2
     assert bench.get("actual_digital_output_bits") == 0
-    assert bench.controller.runtime_state is RuntimeState.STOPPED
+    assert bench.controller.runtime_state is RuntimeState.PAUSED
     with pytest.raises(Refused):
         bench.program(AWAY)
+    with pytest.raises(Refused):
+        bench.controller.play()
+    bench.controller.unlock_protective_stop(at_once=True)
+    bench.run(100)
+    assert bench.get("actual_digital_output_bits") == 0, "unlocking resumes nothing"
+    bench.controller.play()
+    bench.until(lambda: bench.of(events.ProgramStopped))
+    assert bench.get("actual_digital_output_bits") == 1
+
+
+def mean_force(bench, name: str, ticks: int) -> np.ndarray:
+    """The mean force (3,) of an RTDE output over the next ticks."""
+    forces = []
+    for _ in range(ticks):
+        bench.run(1)
+        forces.append(bench.get(name)[:3])
+    return np.mean(forces, axis=0)
+
+
+def test_a_controller_zeroes_its_sensor_when_a_program_starts_in_contact_too(bench):
+    bench.run(200)
+    bench.plant.place((0.30, -0.35, -0.001))
+    bench.run(500)
+    pressed = np.linalg.norm(mean_force(bench, "actual_TCP_force", 200))
+    assert pressed > 8.0
+    bench.program("sync()")
+    assert np.linalg.norm(mean_force(bench, "actual_TCP_force", 200)) < 1.0
+    raw = mean_force(bench, "ft_raw_wrench", 200)
+    assert np.linalg.norm(np.abs(raw) - [0, 0, 9.1]) > 8.0, "the raw reading keeps it"
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "set_payload(0.93, [0, 0, 0.0585])",
+        "set_payload_mass(0.93)",
+        "set_payload_cog([0, 0, 0.0585])",
+        "set_target_payload(0.93, [0, 0, 0.0585])",
+    ],
+)
+def test_a_controller_zeroes_its_sensor_when_the_payload_is_set(bench, call):
+    bench.program(f"sleep(2)\n{call}\nsleep(2)")
+    bench.run(200)
+    bench.plant.place((0.30, -0.35, -0.001))
+    bench.run(700)
+    assert np.linalg.norm(mean_force(bench, "actual_TCP_force", 5)) > 5.0
+    bench.run(200)
+    assert np.linalg.norm(mean_force(bench, "actual_TCP_force", 100)) < 2.0
 
 
 def test_a_protective_stop_is_unlocked_after_five_seconds_and_nothing_moves_by_itself(bench):
@@ -307,6 +355,7 @@ def test_a_protective_stop_is_unlocked_after_five_seconds_and_nothing_moves_by_i
     assert bench.controller.safety_mode is SafetyMode.NORMAL
     bench.run(200)
     assert bench.plant.q == pytest.approx(stood, abs=1e-4)
+    bench.controller.stop_program()
     bench.heard.clear()
     bench.finish(AWAY)
 
@@ -327,7 +376,7 @@ def test_too_much_force_is_a_protective_stop_and_the_arm_gives_way(bench):
     bench.program(f"movej({lowered(bench, 0.08)}, a=2, v=0.5)")
     bench.until(lambda: bench.controller.safety_mode is SafetyMode.PROTECTIVE_STOP)
     assert peak[0] > PROTECTIVE_FORCE_N or "deviates" in bench.of(events.SafetyChanged)[0].reason
-    assert bench.of(events.ProgramStopped)
+    assert bench.controller.runtime_state is RuntimeState.PAUSED
     bench.run(200)
     assert bench.plant.true_force < PROTECTIVE_FORCE_N
     assert np.abs(bench.plant.qd).max() < 1e-2

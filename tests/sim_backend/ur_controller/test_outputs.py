@@ -119,8 +119,8 @@ def test_force_is_given_about_the_flange_and_as_a_scalar(bench):
     assert force[3:] == pytest.approx(bench.plant.wrench[3:] + np.cross(lever, force[:3]))
     assert bench.get("tcp_force_scalar") == pytest.approx(np.linalg.norm(force[:3]))
     assert bench.get("collision_detection_ratio") == pytest.approx(bench.plant.true_force / 150.0)
-    # what the joints feel without the sensor: the load on the flange less the payload's weight
-    assert bench.get("wrench_calc_from_currents")[2] == pytest.approx(force[2], abs=3.0)
+    # what the joints feel without the sensor: the force on the tool, as exactly as their friction allows
+    assert bench.get("wrench_calc_from_currents")[2] == pytest.approx(force[2], abs=6.0)
     assert np.linalg.norm(bench.get("ft_raw_wrench")[:3]) > 3.0
 
 

@@ -233,11 +233,11 @@ def test_a_failure_at_run_time_is_reported_before_the_program_ends(primary: Clie
     assert stopped == Key(PROGRAM_STOPPED, "reach")
 
 
-def test_a_protective_stop_is_a_safety_mode_and_a_warning_before_the_program_ends(primary: Client) -> None:
+def test_a_protective_stop_is_a_safety_mode_and_a_warning_and_the_program_is_paused(primary: Client) -> None:
     primary.send(b"def halt_now():\n  protective_stop()\nend\n")
     primary.run(0.2)
 
-    assert [type(message) for message in primary.messages[1:]] == [Key, SafetyMode, ErrorCode, Key]
+    assert [type(message) for message in primary.messages[1:]] == [Key, SafetyMode, ErrorCode]
     assert primary.said(SafetyMode) == [SafetyMode(3)]
     [error] = primary.said(ErrorCode)
     assert isinstance(error, ErrorCode)

@@ -80,7 +80,10 @@ def test_the_ready_line_names_world_and_ports_and_the_world_answers(free_endpoin
             assert process.ready["listen"] == free_endpoint
             (reply,) = list(session.get("sim/left/truth", timeout=PATIENCE_S))
             assert json.loads(reply.ok.payload.to_bytes())["task"]["seed"] == 3
-            (reply,) = list(session.get("sim/left/reset", payload=b'{"seed": 9}', timeout=PATIENCE_S))
+            claimant = b'{"cell": "first", "host": "here", "pid": 7}'
+            (reply,) = list(session.get("sim/left/claim", payload=claimant, timeout=PATIENCE_S))
+            reset = f"sim/left/reset?client={json.loads(reply.ok.payload.to_bytes())['client']};seq=1"
+            (reply,) = list(session.get(reset, payload=b'{"seed": 9}', timeout=PATIENCE_S))
             frame = records.decode(reply.ok.payload.to_bytes(), records.CAMERA)[0]
             assert (int(frame["epoch"]), int(frame["episode"])) == (info["epoch"], 1)
         process.popen.send_signal(signal.SIGINT)

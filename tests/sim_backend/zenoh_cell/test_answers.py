@@ -1,6 +1,7 @@
 """Answers of a real cell to requests good and bad, without a transport."""
 
 import contextlib
+import itertools
 import json
 import math
 
@@ -9,17 +10,34 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sim_backend.holding import Holding
 from sim_backend.requests import RequestError
 from sim_backend.zenoh_cell import answers
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from wire import records
 
 CELL = SimulatedCell("tr", epoch=7)
+HOLDING = Holding()
+WORD = json.loads(HOLDING.claim("", b'{"cell": "a", "host": "b", "pid": 1}'))["client"]
+SEQ = itertools.count(1)
 COMMAND_KINDS = [kind for kind in records.Kind if kind not in (records.Kind.STATE, records.Kind.CAMERA)]
+
+
+def signed(*parameters: str) -> str:
+    return ";".join((*parameters, f"client={WORD}", f"seq={next(SEQ)}"))
+
+
+def advance(ticks: str, payload: bytes = b"") -> bytes:
+    return answers.advance(CELL, HOLDING, signed(*filter(None, [ticks])), payload)
+
+
+def reset(document: bytes) -> bytes:
+    return answers.reset(CELL, HOLDING, signed(), document)
 
 
 def command(kind: records.Kind, **fields: object) -> np.ndarray:
     record = records.new(records.COMMAND, kind)
+    record["client"], record["seq"] = WORD, next(SEQ)
     for name, value in fields.items():
         record[name] = value
     return record
@@ -31,7 +49,7 @@ def snapshot() -> bytes:
 
 def test_advance_answers_one_state_per_tick() -> None:
     before = CELL.state()["seq"][0]
-    states = records.decode(answers.advance(CELL, "ticks=7", b""), records.STATE)
+    states = records.decode(advance("ticks=7", b""), records.STATE)
     assert states["seq"].tolist() == list(range(before + 1, before + 8))
     assert (states["kind"] == records.Kind.STATE).all()
 
@@ -46,7 +64,7 @@ def test_advance_answers_one_state_per_tick() -> None:
 def test_a_number_of_ticks_that_makes_no_sense_is_refused_and_changes_nothing(parameters: str) -> None:
     before = snapshot()
     with pytest.raises(RequestError, match="ticks=N with N from 1 to 5000"):
-        answers.advance(CELL, parameters, command(records.Kind.STOP).tobytes())
+        advance(parameters, command(records.Kind.STOP).tobytes())
     assert snapshot() == before
 
 
@@ -54,7 +72,7 @@ def test_one_bad_command_among_good_ones_stops_them_all() -> None:
     before = snapshot()
     good, bad = command(records.Kind.STOP), command(records.Kind.STOP, version=records.VERSION + 1)
     with pytest.raises(RequestError, match=f"schema version {records.VERSION + 1}"):
-        answers.advance(CELL, "ticks=1", good.tobytes() + bad.tobytes())
+        advance("ticks=1", good.tobytes() + bad.tobytes())
     assert snapshot() == before
 
 
@@ -97,16 +115,16 @@ def test_more_commands_than_one_message_may_hold_are_refused() -> None:
 def test_a_task_that_no_world_can_be_built_from_is_named_and_changes_nothing(document: str, named: str) -> None:
     before = snapshot()
     with pytest.raises(RequestError, match=named):
-        answers.reset(CELL, document.encode())
+        reset(document.encode())
     assert snapshot() == before
 
 
 def test_a_reset_lays_out_the_world_that_its_seed_means() -> None:
-    answers.reset(CELL, b'{"seed": 11}')
+    reset(b'{"seed": 11}')
     first = CELL.truth()["hole_position"]
-    answers.reset(CELL, b'{"seed": 12}')
+    reset(b'{"seed": 12}')
     second = CELL.truth()["hole_position"]
-    answers.reset(CELL, b'{"seed": 11}')
+    reset(b'{"seed": 11}')
     assert first == CELL.truth()["hole_position"] != second
 
 
@@ -120,9 +138,9 @@ def test_truth_is_json_of_finite_numbers() -> None:
 @given(parameters=st.text(max_size=30), payload=st.binary(max_size=700))
 def test_no_bytes_break_the_answers(parameters: str, payload: bytes) -> None:
     for answer in (
-        lambda: answers.advance(CELL, parameters, payload),
-        lambda: answers.advance(CELL, "ticks=1", payload),
-        lambda: answers.reset(CELL, payload),
+        lambda: advance(parameters, payload),
+        lambda: advance("ticks=1", payload),
+        lambda: reset(payload),
     ):
         with contextlib.suppress(RequestError):
             records.decode(answer(), records.STATE)
@@ -146,7 +164,7 @@ def addressed_commands(draw: st.DrawFn) -> np.ndarray:
 @settings(max_examples=300, deadline=None)
 @given(st.lists(addressed_commands(), max_size=5))
 def test_no_content_of_commands_breaks_the_world(commands: list[np.ndarray]) -> None:
-    state = records.decode(answers.advance(CELL, "ticks=3", b"".join(c.tobytes() for c in commands)), records.STATE)
+    state = records.decode(advance("ticks=3", b"".join(c.tobytes() for c in commands)), records.STATE)
     for name in ("q", "wrench", "target_position", "target_rotvec", "peak_force"):
         assert np.isfinite(state[name]).all(), name
 
@@ -165,6 +183,6 @@ def test_no_content_of_commands_breaks_the_world(commands: list[np.ndarray]) -> 
 )
 def test_no_task_breaks_the_world(document: dict[str, object]) -> None:
     with contextlib.suppress(RequestError):
-        answers.reset(CELL, json.dumps(document).encode())
-    state = records.decode(answers.advance(CELL, "ticks=1", b""), records.STATE)
+        reset(json.dumps(document).encode())
+    state = records.decode(advance("ticks=1", b""), records.STATE)
     assert np.isfinite(state["tcp_position"]).all()

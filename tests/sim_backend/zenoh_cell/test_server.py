@@ -1,6 +1,7 @@
 """A simulated cell as its clients meet it: a process of its own, reached over Zenoh."""
 
 import contextlib
+import itertools
 import json
 import os
 import shutil
@@ -23,7 +24,6 @@ from wire.session import open_session
 
 ROOT = Path(__file__).parents[3]
 PATIENCE_S = 20.0
-CLIENT = 42
 
 
 class Process:
@@ -46,11 +46,27 @@ class Process:
 
 
 class Client:
-    """A peer of one world."""
+    """A peer of one world, which holds it from the first request on that needs this."""
 
-    def __init__(self, session: zenoh.Session, world: str = "world-1") -> None:
+    def __init__(self, session: zenoh.Session, world: str = "world-1", name: str = "first") -> None:
         self.session = session
         self.world = world
+        self.name = name
+        self.word = 0
+        self.seq = 0
+        self.numbers = itertools.count(1)
+
+    def claim(self) -> int:
+        """Claim the world, or renew the claim; return the word."""
+        claimant = json.dumps({"cell": self.name, "host": "here", "pid": 7}).encode()
+        self.word = json.loads(self.ask(f"claim?client={self.word}", claimant))["client"]
+        return self.word
+
+    def signed(self, query: str, *parameters: str) -> str:
+        if not self.word:
+            self.claim()
+        self.seq += 1
+        return f"{query}?" + ";".join((*parameters, f"client={self.word}", f"seq={self.seq}"))
 
     def ask(self, query: str, payload: bytes = b"") -> bytes:
         """Ask one query; an error reply raises its text."""
@@ -65,14 +81,22 @@ class Client:
 
     def advance(self, ticks: int, *commands: np.ndarray) -> np.ndarray:
         return records.decode(
-            self.ask(f"advance?ticks={ticks}", b"".join(c.tobytes() for c in commands)), records.STATE
+            self.ask(self.signed("advance", f"ticks={ticks}"), self.written(*commands)), records.STATE
         )
 
     def reset(self, **task: object) -> np.ndarray:
-        return records.decode(self.ask("reset", json.dumps(task).encode()), records.STATE)
+        return records.decode(self.ask(self.signed("reset"), json.dumps(task).encode()), records.STATE)
+
+    def written(self, *commands: np.ndarray) -> bytes:
+        """The commands as they go out, under this client's word."""
+        if commands and not self.word:
+            self.claim()
+        for record in commands:
+            record["client"] = self.word
+        return b"".join(record.tobytes() for record in commands)
 
     def send(self, *commands: np.ndarray) -> None:
-        payload = b"".join(c.tobytes() for c in commands)
+        payload = self.written(*commands)
         self.session.put(
             f"sim/{self.world}/command", payload, congestion_control=zenoh.CongestionControl.BLOCK, express=True
         )
@@ -135,7 +159,7 @@ def real_time(free_endpoint: str) -> Iterator[Client]:
 def command(kind: records.Kind, epoch: int, seq: int, state: np.void, **fields: object) -> np.ndarray:
     """A command about the pose in `state`, under a soft law."""
     record = records.new(records.COMMAND, kind)
-    record["client"], record["epoch"], record["seq"] = CLIENT, epoch, seq
+    record["epoch"], record["seq"] = epoch, seq
     record["position"], record["rotvec"] = state["tcp_position"], state["tcp_rotvec"]
     record["stiffness"] = [800, 800, 800, 40, 40, 40]
     record["damping"] = [120, 120, 120, 4, 4, 4]
@@ -152,11 +176,12 @@ def scripted_episode(client: Client, seed: int) -> bytes:
     """Engage, move down and aside, stop; every state but for the identity of world and episode."""
     state = client.reset(seed=seed, randomise_plant=True)[0]
     epoch = int(state["epoch"])
-    states = [client.advance(10, command(records.Kind.ENGAGE, epoch, 1, state))]
-    for step in range(2, 12):
+    states = [client.advance(10, command(records.Kind.ENGAGE, epoch, next(client.numbers), state))]
+    for _ in range(10):
         target = states[-1][-1]["target_position"] + [0.001, 0.0, -0.004]
-        states.append(client.advance(40, command(records.Kind.TARGET, epoch, step, states[-1][-1], position=target)))
-    states.append(client.advance(50, command(records.Kind.STOP, epoch, 99, state)))
+        moved = command(records.Kind.TARGET, epoch, next(client.numbers), states[-1][-1], position=target)
+        states.append(client.advance(40, moved))
+    states.append(client.advance(50, command(records.Kind.STOP, epoch, next(client.numbers), state)))
     together = np.concatenate(states)
     assert together["program"][0] == records.Program.ENGAGED
     assert together["tcp_position"][-1, 2] < state["tcp_position"][2] - 0.02
@@ -238,7 +263,7 @@ def test_lockstep_gives_the_same_bytes_for_the_same_seed_and_commands(free_endpo
 def test_what_happened_before_a_reset_leaves_no_trace_after_it(lockstep: Client) -> None:
     first, second = (np.frombuffer(scripted_episode(lockstep, seed=5), records.STATE).copy() for _ in range(2))
     for states in (first, second):
-        states["seq"], states["time_s"] = 0, 0  # these two run on
+        states["seq"], states["time_s"], states["command_seq"] = 0, 0, 0  # these run on
     assert first.tobytes() == second.tobytes()
 
 
@@ -258,8 +283,8 @@ def test_lockstep_publishes_nothing_and_lets_no_time_pass_by_itself(lockstep: Cl
         ("advance", b"", "ticks=N"),
         ("reset", b"{", "not JSON"),
         ("reset", b'{"seed": 1, "colour": "red"}', "colour"),
-        ("nonsense", b"", "ask one of advance, reset, info, truth"),
-        ("*", b"", "ask one of advance, reset, info, truth"),
+        ("nonsense", b"", "ask one of advance, reset, claim, release, info, truth"),
+        ("*", b"", "ask one of advance, reset, claim, release, info, truth"),
     ],
 )
 def test_a_query_that_cannot_be_read_is_refused_and_changes_nothing(
@@ -360,7 +385,7 @@ def test_a_flood_of_commands_hides_no_stop_and_leaves_the_world_up(free_endpoint
         for index, target in enumerate(flood):
             client.send(target)
             if index == 1500:
-                client.send(command(records.Kind.STOP, epoch, 0, start))
+                client.send(command(records.Kind.STOP, epoch, 9999, start))
         for _ in range(200):
             # BLOCK: what a full queue drops, nobody counts
             client.session.put("sim/world-1/command", b"garbage", congestion_control=zenoh.CongestionControl.BLOCK)

@@ -68,7 +68,8 @@ class Shadow:
         return Sample(
             epoch=1, episode=1, seq=self._seq, time_s=self._seq * TICK_S, arrival_s=self._seq * TICK_S,
             q=self.world.joints[0], qd=np.zeros(6), tcp_position=position.copy(), tcp_rotvec=rotvec.copy(),
-            tcp_velocity=np.zeros(6), wrench=wrench.copy(), saturated=False, hole_estimate=hole.copy(), program=program,
+            tcp_velocity=np.zeros(6), wrench=wrench.copy(), unzeroed=wrench.copy(),
+            ft_raw=wrench.copy(), joint_force=None, saturated=False, hole_estimate=hole.copy(), program=program,
             stop_reason=StopReason.NONE, robot_mode=RobotMode.RUNNING, safety_mode=SafetyMode.NORMAL, command_seq=0,
             peak_force_n=0.0,
         )  # fmt: skip

@@ -250,15 +250,14 @@ async def test_the_last_resort_ends_our_program_without_a_dashboard(monkeypatch)
 
 
 async def test_an_unlocked_arm_has_no_program_that_could_go_on() -> None:
-    """A controller may pause a program at a protective stop instead of ending it."""
+    """A controller pauses a program at a protective stop; it does not end it."""
     async with emulated() as arm:
         await moving(arm)
         controller = arm.controller
-        controller._halt = lambda: (controller.motion.freeze(), controller.interpreter.pause())  # type: ignore[method-assign]
         controller.protective_stop("test")
         await arm.until(lambda: arm.samples[-1].program is Program.PROTECTIVE_STOP)
         await arm.pass_time(5.5)
-        assert controller.runtime_state in (RuntimeState.PAUSING, RuntimeState.PAUSED)
+        assert controller.runtime_state is RuntimeState.PAUSED
         arm.driver.unlock()
         await arm.until(lambda: arm.samples[-1].safety_mode == 1)
         await arm.pass_time(0.1)

@@ -1,6 +1,8 @@
 """The driver against an emulated controller, over real sockets."""
 
 import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 
 import numpy as np
 import pytest
@@ -159,6 +161,70 @@ async def test_an_arm_that_is_not_ready_is_connected_and_refuses_a_run_with_what
         with pytest.raises(DriverError, match=text) as refused:
             await arm.driver.prepare(TASK)
         assert refused.value.code is FaultCode.AUTHORITY
+
+
+@asynccontextmanager
+async def real_arm(spoil: Callable[[Controller], None] = lambda controller: None) -> AsyncIterator[Emulated]:
+    """An emulated controller with a driver that takes it for a real arm, whose world nobody lays out."""
+    async with emulated(prepare=spoil) as arm:
+        await arm.driver.close()
+        arm.driver = UrDriver(arm.config, mode="lockstep")
+        yield arm
+        await arm.driver.close()
+
+
+def press(controller: Controller) -> None:
+    """Press the tool onto the block beside the hole, with about 17 N."""
+    plant = controller.plant
+    x, y, z = plant.truth()["hole_position"]
+    plant.place((x + 0.045, y, z - 1.25e-3), plant.truth()["hole_yaw"])
+    for _ in range(500):
+        controller.tick()
+
+
+async def test_09_a_tool_pressed_onto_the_block_gets_no_program_that_would_zero_the_force_away() -> None:
+    async with real_arm(press) as arm:
+        load_n = float(np.linalg.norm(arm.plant.world.contact_force[0]))
+        assert 14.0 < load_n < 20.0
+        await arm.driver.connect(arm)
+        assert arm.controller.runtime_state is RuntimeState.STOPPED
+        with pytest.raises(DriverError, match=r"F/T load.*free the tool") as refused:
+            await arm.driver.prepare(None)
+        assert refused.value.code is FaultCode.CONTACT_AT_START
+        assert f"{load_n:.0f}" in str(refused.value) or "N·m beside the payload" in str(refused.value)
+        assert arm.controller.runtime_state is RuntimeState.STOPPED, "the sensor was not zeroed by a program's start"
+        arm.plant.place((0.3, -0.11, 0.18))
+        await arm.pass_time(0.5)
+        await arm.driver.prepare(None)
+        assert arm.controller.runtime_state is RuntimeState.PLAYING
+
+
+async def test_09_a_force_that_a_program_s_start_has_zeroed_away_is_still_seen_in_the_samples() -> None:
+    async with real_arm(press) as arm:
+        arm.controller.run_script("def theirs():\n  sync()\nend\n")
+        await arm.pass_time(0.5)
+        await arm.driver.connect(arm)
+        await arm.pass_time(0.3)
+        window = arm.samples[-50:]
+        assert np.linalg.norm(np.mean([sample.wrench[:3] for sample in window], axis=0)) < 3.0
+        assert np.linalg.norm(np.mean([sample.unzeroed[:3] for sample in window], axis=0)) > 12.0
+        assert np.linalg.norm(np.mean([sample.joint_force for sample in window], axis=0)) > 12.0
+
+
+async def test_the_gate_names_another_robot_at_the_address() -> None:
+    async with real_arm() as arm:
+        assert arm.config.ur is not None
+        ur = arm.config.ur.model_copy(update={"serial": "20235300099"})
+        arm.driver = UrDriver(arm.config.model_copy(update={"ur": ur}), mode="lockstep")
+        with pytest.raises(DriverError, match=r"serial number 20235300042, wanted .*20235300099"):
+            await arm.driver.connect(arm)
+        assert arm.controller.runtime_state is RuntimeState.STOPPED
+
+
+async def test_a_controller_with_polyscope_x_is_refused_by_name() -> None:
+    async with real_arm(lambda controller: setattr(controller, "versions", (10, 7, 0, 0))) as arm:
+        with pytest.raises(DriverError, match=r"PolyScope: X, 10\.7\.0"):
+            await arm.driver.connect(arm)
 
 
 async def test_a_protective_stop_is_unlocked_by_an_operator_only_and_after_five_seconds() -> None:

@@ -7,7 +7,7 @@ from service.drivers.ur.gate import UNSAFE, Facts, Verdict, failures, judge
 from tests.service.drivers.ur.cells import UR, ur_config
 from tests.service.drivers.ur.test_samples import package
 
-CONFIG = ur_config()
+CONFIG = ur_config(ur={"model": "UR3", "serial": "20235300042"})
 
 
 def good_facts() -> Facts:
@@ -15,6 +15,8 @@ def good_facts() -> Facts:
     ready = package(payload_kg=UR["payload_kg"], payload_com=UR["payload_com_m"], tcp_offset=UR["tcp_m"])
     return Facts(
         version=(5, 21, 3),
+        model="UR3",
+        serial="20235300042",
         remote_control=True,
         package=ready,
         configured=ready,
@@ -37,6 +39,8 @@ def test_a_controller_as_it_should_be_passes_every_check() -> None:
     [
         ("PolyScope", {"version": (5, 9, 4)}, {}),
         ("PolyScope", {"version": (10, 1, 0)}, {}),
+        ("robot", {"model": "UR10"}, {}),
+        ("robot", {"serial": "20235300043"}, {}),
         ("remote control", {"remote_control": False}, {}),
         ("safety mode", {}, {"safety_mode": 3}),
         ("robot mode", {}, {"robot_mode": 5}),
@@ -49,10 +53,10 @@ def test_a_controller_as_it_should_be_passes_every_check() -> None:
         ("TCP", {}, {"tcp_offset": (0.0, 0.0, 0.19, 0.0, 0.1, 0.0)}),
         ("watchdog", {"watchdog_s": 0.9}, {}),
         ("watchdog", {"watchdog_s": float("inf")}, {}),
-        ("F/T bias", {"wrenches": good_facts().wrenches + np.array([0, 0, 13.0, 0, 0, 0])}, {}),
+        ("F/T load", {"wrenches": good_facts().wrenches + np.array([0, 0, 13.0, 0, 0, 0])}, {}),
         ("F/T noise", {"wrenches": good_facts().wrenches * 5.0}, {}),
         ("F/T noise", {"wrenches": np.ones((100, 6))}, {}),
-        ("F/T bias", {"wrenches": good_facts().wrenches * float("nan")}, {}),
+        ("F/T load", {"wrenches": good_facts().wrenches * float("nan")}, {}),
     ],
 )
 def test_what_is_wrong_fails_its_check_and_says_what_to_do(name, changes, package_changes) -> None:
@@ -62,6 +66,18 @@ def test_what_is_wrong_fails_its_check_and_says_what_to_do(name, changes, packag
     failed = failures(judge(facts, CONFIG.ur, CONFIG.preflight))
     assert name in [check.name for check in failed]
     assert all(check.remedy and check.measured for check in failed)
+
+
+def test_polyscope_x_is_refused_by_its_name_though_it_answers_no_dashboard() -> None:
+    (failed,) = failures(judge(Facts(version=(10, 7, 0)), CONFIG.ur, CONFIG.preflight))
+    assert failed.name in UNSAFE
+    assert "PolyScope: X, 10.7.0" in failed.text
+    assert "use a controller with PolyScope 5" in failed.text
+
+
+def test_a_robot_that_the_configuration_does_not_name_may_be_any() -> None:
+    config = ur_config()
+    assert failures(judge(good_facts(), config.ur, config.preflight)) == ()
 
 
 def test_what_was_not_measured_is_not_passed() -> None:

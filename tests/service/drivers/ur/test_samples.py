@@ -7,8 +7,8 @@ from service.drivers.base import Program, StopReason
 from service.drivers.ur.samples import ALIVE_S, OUTPUTS, ArrivalClock, Package, ProgramWatch, SampleReader
 from service.faults import FaultCode
 from service.safety.monitor import Monitor, MonitorParameters
-from tests.service.drivers.ur.cells import ur_config
-from wire.pose import rotation_from_rotvec
+from tests.service.drivers.ur.cells import UR, ur_config
+from wire.pose import rotation_from_rotvec, rotvec_from_rotation
 
 CRC = 77
 
@@ -22,6 +22,7 @@ def package(**fields) -> Package:
         tcp_speed=(0.0,) * 6,
         tcp_force=(0.0,) * 6,
         ft_raw=(0.0,) * 6,
+        felt=(1.0, 2.0, 3.0, 0.0, 0.0, 0.0),
         robot_mode=7,
         safety_mode=1,
         runtime_state=2,
@@ -65,6 +66,24 @@ def test_a_torque_about_the_flange_is_moved_to_the_tcp(tcp) -> None:
     assert kept == pytest.approx(felt)
 
 
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.19, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.5, 0.4, -0.3)])
+def test_09_the_load_is_the_raw_reading_less_the_payload_s_weight_whatever_the_controller_has_configured(
+    offset: tuple[float, ...],
+) -> None:
+    """In any attitude, at the TCP of `[ur]`; neither the controller's zero nor its TCP or payload has a part in it."""
+    flange = rotation_from_rotvec(np.array([2.0, 1.5, -0.4]))
+    rotvec = rotvec_from_rotation(flange @ rotation_from_rotvec(np.array(offset[3:])))
+    tcp, com, kg = np.array(UR["tcp_m"][:3]), np.array(UR["payload_com_m"]), UR["payload_kg"]
+    pressed, weight = np.array([3.0, -4.0, 17.0]), flange.T @ [0.0, 0.0, -9.81 * kg]
+    own = flange.T @ pressed
+    raw = (*(own + weight), *(np.cross(tcp, own) + np.cross(com, weight)))
+    sample = a_sample(ft_raw=raw, tcp_pose=(0.3, 0.0, 0.2, *rotvec), tcp_offset=offset, payload_kg=0.1)
+    assert sample.unzeroed == pytest.approx([*pressed, 0.0, 0.0, 0.0], abs=1e-9)
+    assert sample.wrench == pytest.approx(np.zeros(6)), "which the controller has zeroed"
+    assert sample.ft_raw == pytest.approx(raw)
+    assert sample.joint_force == pytest.approx([1.0, 2.0, 3.0])
+
+
 @pytest.mark.parametrize(
     ("raw", "saturated"),
     [
@@ -100,7 +119,7 @@ def test_a_register_with_a_state_that_there_is_not_is_no_sample() -> None:
 
 def test_a_controller_that_was_restarted_is_another_source_to_the_monitor() -> None:
     reader = SampleReader(ur_config().ur)
-    monitor = Monitor(MonitorParameters(30.0, 5.0, 10, 0.05, 0.05))
+    monitor = Monitor(MonitorParameters(30.0, 5.0, 10, 25, 0.05, 0.05))
     verdicts = []
     for index, time_s in enumerate((60.0, 60.002, 40.0)):
         at = package(time_s=time_s, tcp_force=(0.1 * index, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -112,6 +131,7 @@ def test_a_controller_that_was_restarted_is_another_source_to_the_monitor() -> N
                 seq=sample.seq,
                 time_s=sample.time_s,
                 wrench=sample.wrench,
+                raw=sample.ft_raw,
                 motion=sample.q,
                 saturated=False,
                 now=sample.arrival_s,

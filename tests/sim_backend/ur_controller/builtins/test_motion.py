@@ -340,7 +340,7 @@ def test_an_acceleration_that_rounding_has_left_of_none_is_taken(bench, accelera
 
 def test_an_arc_that_does_not_exist_from_where_the_arm_comes_to_rest_is_a_protective_stop(bench):
     bench.program("speedl([0.05, 0, 0, 0, 0, 0], 1, 0.2)\np = get_target_tcp_pose()\nmovec(p, p)")
-    bench.until(lambda: bench.of(events.ProgramStopped))
+    bench.until(lambda: bench.of(events.SafetyChanged))
     assert bench.controller.safety_mode is SafetyMode.PROTECTIVE_STOP
     assert "one line" in bench.of(events.SafetyChanged)[0].reason
 
