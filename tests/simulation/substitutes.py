@@ -53,7 +53,6 @@ class Host:
         self.inference_latency_s = (1e-3, 8e-3)
         self.inference_hangs_until = 0.0
         self.admission_latency_s = (1e-4, 5e-3)
-        self.locks: dict[Path, clock.Process] = {}
         self.databases: list[aiosqlite.core.Connection] = []
 
     def monotonic(self) -> float:
@@ -154,21 +153,6 @@ async def _at_once(function: Callable[..., Any], *args: Any, **kwargs: Any) -> A
     return function(*args, **kwargs)
 
 
-@contextmanager
-def _alone(host: Host, state_dir: Path) -> Generator[None]:
-    process = clock.here().process
-    state_dir.mkdir(parents=True, exist_ok=True)
-    holder = host.locks.get(state_dir)
-    if holder is not None and holder.alive:
-        raise OSError(f"another control process uses {state_dir}")
-    host.locks[state_dir] = process
-    try:
-        yield
-    finally:
-        if host.locks.get(state_dir) is process:
-            del host.locks[state_dir]
-
-
 def _metronome(host: Host, dozed_ticks: Callable[[], int]) -> Callable[..., Metronome]:
     class Beat(Metronome):
         def wait(self) -> None:
@@ -217,7 +201,6 @@ def changes(host: Host, dozed_ticks: Callable[[], int]) -> list[Change]:
         (process, "close_session", close_session),
         (process, "Cell", partial(service.cell.cell.Cell, inference=InlineInference)),
         (service.cell.cell, "InProcessPolicy", policies),
-        (process, "alone", partial(_alone, host)),
         (process, "request_realtime", tuple),
         (process, "freeze_garbage", lambda: None),
         (api.application, "signal", signals),
