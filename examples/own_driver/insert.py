@@ -31,7 +31,7 @@ async def play(state_dir: Path, radius_m: float, force_ceiling_n: float) -> Run:
         hole = np.array(NOMINAL_HOLE_M) + np.array([*aside, 0.0])
         return PointMassArm(np.array(START_POSITION_M), hole, radius_m)
 
-    config = cell_config(state_dir, POLICY, force_ceiling_n=force_ceiling_n, max_steps=60)
+    config = cell_config(state_dir, POLICY, force_ceiling_n=force_ceiling_n, impact_n=40.0, max_steps=60)
     async with lockstep_cell(config, wrap=lambda _simulated: PointMassDriver(make_arm)) as bench:
         run = await bench.insert(seed=1)
         print("  ", " → ".join(event.state for event in bench.events if event.kind is EventKind.STATE))
@@ -47,7 +47,7 @@ async def play(state_dir: Path, radius_m: float, force_ceiling_n: float) -> Run:
 async def main() -> int:
     """Play the three cases; return 0 if each ended as it should."""
     ends: list[str] = []
-    cases = {"a hole": (HOLE_RADIUS_M, 30.0), "no hole": (0.0, 30.0), "no hole, a part that bears 4 N": (0.0, 4.0)}
+    cases = {"a hole": (HOLE_RADIUS_M, 30.0), "no hole": (0.0, 30.0), "no hole, a ceiling of 4 N": (0.0, 4.0)}
     for name, (radius_m, ceiling_n) in cases.items():
         print(f"{name}:")
         with tempfile.TemporaryDirectory() as folder:

@@ -2,11 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import inf
 from typing import Self
 
 from service.config import CellConfig, LimitsSection, RecipeSection
 from service.policy.contract import PolicyContract
 from service.policy.observation import ENTRIES, Need
+from service.safety.contact_loop import PAYLOAD_KG, why_not_law
+from wire.impact import blow_n, reached_m_s
 from wire.modes import LockMode
 
 EVERY_CELL_OFFERS = frozenset({Need.FORCE_TORQUE, Need.LAST_JOINT})
@@ -30,6 +33,9 @@ class CellCapabilities:
         locks: modes of the lock that the recipe allows.
         offers: what it measures.
         limits: limits that no policy may exceed.
+        payload_kg: mass beyond the sensor.
+        bears_n: momentary true force that the part bears, N; infinite if nobody says.
+        approach_speed_m_s: speed of the scripted moves that the recipe asks for; None: one that the part bears.
     """
 
     tick_s: float
@@ -38,6 +44,9 @@ class CellCapabilities:
     locks: tuple[LockMode, ...]
     offers: frozenset[Need]
     limits: LimitsSection
+    payload_kg: float = PAYLOAD_KG
+    bears_n: float = inf
+    approach_speed_m_s: float | None = None
 
     @classmethod
     def of(cls, config: CellConfig, recipe: RecipeSection, tick_s: float) -> Self:
@@ -56,6 +65,9 @@ class CellCapabilities:
             locks=recipe.allow_lock,
             offers=EVERY_CELL_OFFERS | camera,
             limits=config.limits,
+            payload_kg=PAYLOAD_KG if config.ur is None else config.ur.payload_kg,
+            bears_n=recipe.bears_n(config.limits.force_ceiling_n),
+            approach_speed_m_s=recipe.approach_speed_m_s,
         )
 
 
@@ -66,6 +78,8 @@ def mismatches(contract: PolicyContract, cell: CellCapabilities) -> tuple[str, .
         *_beyond_sensors(contract, cell),
         *_beyond_mode(contract, cell),
         *_beyond_law(contract, cell),
+        *why_not_law(contract.compliance, cell.payload_kg),
+        *_beyond_part(contract, cell),
         *_beyond_lock(contract, cell),
         *_without_camera(contract, cell),
     )
@@ -75,6 +89,11 @@ def _beyond_task(contract: PolicyContract, cell: CellCapabilities) -> Iterator[s
     """Yield differences of period, part and clearance."""
     if contract.tick_s != cell.tick_s:
         yield f"the policy wants a tick of {contract.tick_s * 1e3:g} ms, the cell has {cell.tick_s * 1e3:g} ms"
+    if contract.period_s >= (age_s := cell.limits.target_age_s):
+        yield (
+            f"the policy acts every {contract.period_s * 1e3:g} ms (ticks_per_step), the arm stops without a target "
+            f"after {age_s * 1e3:g} ms (limits.target_age_s)"
+        )
     if cell.part not in contract.parts:
         yield f"the policy is for {', '.join(contract.parts)}, the cell assembles {cell.part}"
     low, high = contract.clearance_m
@@ -127,6 +146,24 @@ def _beyond_law(contract: PolicyContract, cell: CellCapabilities) -> Iterator[st
         for axis, (want, limit) in enumerate(zip(wanted, most, strict=True)):
             if want > limit:
                 yield f"compliance.{name}[{axis}] is {want:g}, limits.max_{name} of the cell is {limit:g}"
+
+
+def _beyond_part(contract: PolicyContract, cell: CellCapabilities) -> Iterator[str]:
+    """Yield speeds at which a touch would give more than the part bears."""
+    law, limits = contract.compliance, cell.limits
+    deepest = sum(entry.limit for entry in contract.action if entry.name == "dz")
+    step_m = deepest if contract.dsl.mode == "off" else deepest + contract.dsl.seek_step_m
+    for what, speed, lead_m, axes in (
+        ("approach_speed_m_s of the recipe", cell.approach_speed_m_s or 0.0, limits.max_step_m, (0, 1, 2)),
+        ("the search (dsl.seek_step_m and the action's dz)", step_m / contract.period_s, step_m, (2,)),
+    ):
+        reached = reached_m_s(min(speed, limits.max_speed_m_s), min(lead_m, limits.max_step_m), law, axes)
+        blow = blow_n(reached, max(law.inertia[:3]), limits.contact_n_m)
+        if blow > cell.bears_n:
+            yield (
+                f"{what} reaches {reached:.3f} m/s: a touch gives up to {blow:.0f} N, the part bears "
+                f"{cell.bears_n:g} N for a moment (impact_n of the recipe, or twice its force ceiling)"
+            )
 
 
 def _beyond_lock(contract: PolicyContract, cell: CellCapabilities) -> Iterator[str]:

@@ -11,7 +11,11 @@ from service.safety.monitor import MonitorParameters
 from service.safety.preflight import PreflightParameters
 from service.safety.witness import WitnessParameters
 from wire.arrays import FloatArray
+from wire.impact import fastest_m_s, reached_m_s
 from wire.law import ComplianceLaw, ControlLimits
+
+APPROACH_SPEED_M_S = 0.08
+"""Speed of the scripted moves where the recipe names none and the part bears it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +99,7 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         max_hole_offset=np.array(limits.max_hole_offset_m),
         uses_estimate=contract.uses_estimate,
         hover_m=recipe.hover_m,
-        approach_speed_m_s=recipe.approach_speed_m_s,
+        approach_speed_m_s=approach_speed_m_s(recipe, limits, contract.compliance),
         max_steps=contract.max_steps if recipe.max_steps is None else min(recipe.max_steps, contract.max_steps),
         tick_s=contract.tick_s,
         success_depth_m=recipe.success_depth_m,
@@ -108,6 +112,15 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         witness=WitnessParameters(**config.witness.model_dump()),
         step=PolicyStep(contract, bounds),
     )
+
+
+def approach_speed_m_s(recipe: RecipeSection, limits: LimitsSection, law: ComplianceLaw) -> float:
+    """Return the speed of the scripted moves: the recipe's, else the fastest whose blow the part bears, m/s."""
+    if recipe.approach_speed_m_s is not None:
+        return recipe.approach_speed_m_s
+    usual = min(APPROACH_SPEED_M_S, limits.max_speed_m_s)
+    fastest = fastest_m_s(recipe.bears_n(limits.force_ceiling_n), max(law.inertia[:3]), limits.contact_n_m)
+    return usual if reached_m_s(usual, limits.max_step_m, law) <= fastest else min(usual, fastest)
 
 
 def plan_monitor(limits: LimitsSection, force_ceiling_n: float) -> MonitorParameters:

@@ -5,7 +5,14 @@ from typing import Annotated, Self, assert_never
 from pydantic import Field, model_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
-from service.config.checks import recipes_beyond_limits, within_limits, within_preflight, without_robot
+from service.config.checks import (
+    between_limits_and_preflight,
+    beyond_arm,
+    recipes_beyond_limits,
+    within_limits,
+    within_preflight,
+    without_robot,
+)
 from service.config.fields import Name
 from service.config.limits import LimitsSection, PreflightSection, WitnessSection
 from service.config.sections import ApiSection, CameraSection, CellSection, ClientLossSection, RecipeSection, SimSection
@@ -35,8 +42,10 @@ class CellConfig(BaseSettings):
         contradictions = (
             *within_limits(self.limits),
             *within_preflight(self.preflight),
+            *between_limits_and_preflight(self.limits, self.preflight),
             *recipes_beyond_limits(self.recipes, self.limits),
             *without_robot(self.cell, self.ur),
+            *(() if self.ur is None else beyond_arm(self.ur, self.recipes, self.limits)),
         )
         if contradictions:
             raise ValueError("; ".join(contradictions))

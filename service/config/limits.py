@@ -2,10 +2,20 @@
 
 from typing import Annotated
 
-from pydantic import Field
-
-from service.config.fields import Box, Force, Positive, Section, SixPositive, Torque
+from service.config.fields import Box, Force, Section, Torque, count, number
+from wire.impact import CONTACT_N_M
 from wire.limits import MAX_SPEED, MAX_STEP, TARGET_AGE_S, TILT_RAD, TORQUE_CEILING_NM, YAW_HALF_RANGE_RAD
+
+Stiffness = Annotated[float, number(10.0, 5000.0, "the tool sags; softer than the arm itself, which has 7500 N/m")]
+Twist = Annotated[float, number(0.1, 200.0, "the tool sags; softer than the arm itself, which has 550 N·m/rad")]
+Damping = Annotated[float, number(1.0, 5000.0, "any law swings; the arm hardly yields")]
+TurnDamping = Annotated[float, number(0.01, 20.0, "any law swings; the arm hardly yields")]
+Mass = Annotated[float, number(0.1, 20.0, "lighter than a gripper: noise moves the arm; a blow instead of a touch")]
+Inertia = Annotated[float, number(1e-3, 0.5, "lighter than a gripper: noise moves the arm; a blow instead of a touch")]
+HoleOffset = Annotated[float, number(1e-4, 0.2, "the camera's own jitter; any place within reach")]
+SixStiffness = tuple[Stiffness, Stiffness, Stiffness, Twist, Twist, Twist]
+SixDamping = tuple[Damping, Damping, Damping, TurnDamping, TurnDamping, TurnDamping]
+SixInertia = tuple[Mass, Mass, Mass, Inertia, Inertia, Inertia]
 
 
 class LimitsSection(Section):
@@ -44,36 +54,39 @@ class LimitsSection(Section):
         clamped_steps: outrageous policy steps in a row before the cell latches BOUNDS.
         stop_confirm_s: time in which standstill must be measured after a stop.
         policy_deadline_s: time of one inference at which the cell latches POLICY_DEADLINE.
+        contact_n_m: stiffness of the stiffest thing that the tool may meet, N/m: tool, part and fixture in series. The
+            speed of approach and search is limited by the blow that it would give.
     """
 
     force_ceiling_n: Force
     torque_ceiling_nm: Torque = TORQUE_CEILING_NM
-    sample_age_s: Annotated[float, Field(ge=0.006, le=0.5, allow_inf_nan=False)] = 0.05
-    stuck_samples: Annotated[int, Field(ge=2, le=500)] = 10
-    stuck_channel_samples: Annotated[int, Field(ge=2, le=500)] = 25
-    target_age_s: Annotated[float, Field(ge=0.02, le=1.0, allow_inf_nan=False)] = TARGET_AGE_S
-    max_step_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = MAX_STEP[0]
-    max_turn_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = MAX_STEP[1]
-    max_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = MAX_SPEED[0]
-    max_turn_speed_rad_s: Annotated[float, Field(gt=0.0, le=3.0, allow_inf_nan=False)] = MAX_SPEED[1]
-    max_tilt_rad: Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)] = TILT_RAD
-    max_stiffness: SixPositive = (3000.0, 3000.0, 3000.0, 100.0, 100.0, 100.0)
-    min_damping: SixPositive = (60.0, 60.0, 60.0, 0.1, 0.1, 0.1)
-    max_damping: SixPositive = (2000.0, 2000.0, 2000.0, 5.0, 5.0, 5.0)
-    min_inertia: SixPositive = (0.5, 0.5, 0.5, 0.01, 0.01, 0.005)
-    max_inertia: SixPositive = (10.0, 10.0, 10.0, 0.2, 0.2, 0.2)
-    max_press_m: Annotated[float, Field(gt=0.0, le=0.02, allow_inf_nan=False)] = 5e-3
-    max_contact_share: Annotated[float, Field(gt=0.0, le=1.0, allow_inf_nan=False)] = 1.0 / 3.0
-    max_seek_step_m: Annotated[float, Field(gt=0.0, le=0.02, allow_inf_nan=False)] = 5e-3
-    max_lift_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 0.01
-    max_search_depth_m: Annotated[float, Field(gt=0.0, le=0.2, allow_inf_nan=False)] = 0.1
-    max_search_steps: Annotated[int, Field(ge=1, le=2000)] = 200
-    max_hole_offset_m: tuple[Positive, Positive, Positive] = (0.08, 0.06, 0.05)
+    sample_age_s: Annotated[float, number(0.006, 0.5, "three samples; half a second blind")] = 0.05
+    stuck_samples: Annotated[int, count(2, 100, "one sample repeats nothing; 0.2 s blind")] = 10
+    stuck_channel_samples: Annotated[int, count(2, 200, "one sample repeats nothing; 0.4 s blind")] = 25
+    target_age_s: Annotated[float, number(0.02, 1.0, "transport alone; a second without a host")] = TARGET_AGE_S
+    max_step_m: Annotated[float, number(1e-4, 0.05, "the arm hardly moves; a jump")] = MAX_STEP[0]
+    max_turn_rad: Annotated[float, number(1e-3, 0.5, "the arm hardly turns; a jump")] = MAX_STEP[1]
+    max_speed_m_s: Annotated[float, number(1e-3, 0.25, "the arm hardly moves; speed beside people")] = MAX_SPEED[0]
+    max_turn_speed_rad_s: Annotated[float, number(0.01, 3.0, "the arm hardly turns; a joint's speed")] = MAX_SPEED[1]
+    max_tilt_rad: Annotated[float, number(5e-3, 0.5, "sensor noise; a tool that leans by 29 degrees")] = TILT_RAD
+    max_stiffness: SixStiffness = (3000.0, 3000.0, 3000.0, 100.0, 100.0, 100.0)
+    min_damping: SixDamping = (60.0, 60.0, 60.0, 0.1, 0.1, 0.1)
+    max_damping: SixDamping = (2000.0, 2000.0, 2000.0, 5.0, 5.0, 5.0)
+    min_inertia: SixInertia = (0.5, 0.5, 0.5, 0.01, 0.01, 0.005)
+    max_inertia: SixInertia = (10.0, 10.0, 10.0, 0.2, 0.2, 0.2)
+    max_press_m: Annotated[float, number(1e-5, 0.02, "less than the position's noise; no lock at all")] = 5e-3
+    max_contact_share: Annotated[float, number(0.01, 0.8, "noise is contact; the ceiling comes first")] = 1.0 / 3.0
+    max_seek_step_m: Annotated[float, number(1e-5, 0.02, "the tip hardly sinks; a blow instead of a touch")] = 5e-3
+    max_lift_m: Annotated[float, number(1e-4, 0.05, "no lift; out of the approach's height")] = 0.01
+    max_search_depth_m: Annotated[float, number(1e-3, 0.2, "no search; through the table")] = 0.1
+    max_search_steps: Annotated[int, count(1, 2000, "no search; minutes without contact")] = 200
+    max_hole_offset_m: tuple[HoleOffset, HoleOffset, HoleOffset] = (0.08, 0.06, 0.05)
     workspace_m: Box
-    yaw_range_rad: Annotated[float, Field(gt=0.0, le=3.14159, allow_inf_nan=False)] = YAW_HALF_RANGE_RAD
-    clamped_steps: Annotated[int, Field(ge=1, le=100)] = 5
-    stop_confirm_s: Annotated[float, Field(ge=0.05, le=2.0, allow_inf_nan=False)] = 0.5
-    policy_deadline_s: Annotated[float, Field(ge=0.005, le=0.5, allow_inf_nan=False)] = 0.12
+    yaw_range_rad: Annotated[float, number(0.01, 3.14159, "no turn; every yaw")] = YAW_HALF_RANGE_RAD
+    clamped_steps: Annotated[int, count(1, 20, "the first one latches; two seconds of outrageous steps")] = 5
+    stop_confirm_s: Annotated[float, number(0.05, 2.0, "shorter than a stop; longer than anybody waits")] = 0.5
+    policy_deadline_s: Annotated[float, number(0.005, 0.5, "no inference is that fast; half a second held")] = 0.12
+    contact_n_m: Annotated[float, number(1e3, 1e6, "softer than a rubber foot; steel on steel")] = CONTACT_N_M
 
 
 class PreflightSection(Section):
@@ -93,17 +106,17 @@ class PreflightSection(Section):
         unzeroed_torque_nm: the same for torque.
     """
 
-    window_samples: Annotated[int, Field(ge=10, le=1000)] = 100
-    contact_force_n: Force = 3.0
-    bias_force_n: Force = 1.5
-    bias_torque_nm: Torque = 0.3
-    noise_force_n: Force = 1.5
-    noise_torque_nm: Torque = 0.4
-    position_m: Positive = 5e-3
-    yaw_rad: Positive = 0.05
-    tilt_rad: Positive = 0.02
-    unzeroed_force_n: Force = 12.0
-    unzeroed_torque_nm: Positive = 2.5
+    window_samples: Annotated[int, count(10, 1000, "a mean needs ten; 2 s of standing")] = 100
+    contact_force_n: Annotated[float, number(0.5, 10.0, "noise; a pressed tool")] = 3.0
+    bias_force_n: Annotated[float, number(0.1, 5.0, "noise; a touched tool")] = 1.5
+    bias_torque_nm: Annotated[float, number(0.01, 1.0, "noise; a touched tool")] = 0.3
+    noise_force_n: Annotated[float, number(0.05, 5.0, "quieter than any sensor; louder than a contact")] = 1.5
+    noise_torque_nm: Annotated[float, number(0.01, 1.5, "quieter than any sensor; louder than a contact")] = 0.4
+    position_m: Annotated[float, number(1e-4, 0.02, "less than the arm repeats; another pose")] = 5e-3
+    yaw_rad: Annotated[float, number(1e-3, 0.2, "less than the arm repeats; another pose")] = 0.05
+    tilt_rad: Annotated[float, number(1e-3, 0.1, "less than the arm repeats; another pose")] = 0.02
+    unzeroed_force_n: Annotated[float, number(1.0, 30.0, "the sensor's own bias; a pressed tool")] = 12.0
+    unzeroed_torque_nm: Annotated[float, number(0.1, 5.0, "the sensor's own bias; a pressed tool")] = 2.5
 
 
 class WitnessSection(Section):
@@ -117,6 +130,6 @@ class WitnessSection(Section):
         rest_force_n: largest force that the joints may feel before a run, with the configured payload and a free tool.
     """
 
-    force_n: Annotated[float, Field(gt=0.0, le=30.0, allow_inf_nan=False)] = 12.0
-    time_s: Annotated[float, Field(ge=0.002, le=0.1, allow_inf_nan=False)] = 0.01
-    rest_force_n: Annotated[float, Field(gt=0.0, le=30.0, allow_inf_nan=False)] = 6.0
+    force_n: Annotated[float, number(1.0, 30.0, "the joints' own friction; a whole ceiling apart")] = 12.0
+    time_s: Annotated[float, number(0.002, 0.1, "one sample; longer than a blow lasts")] = 0.01
+    rest_force_n: Annotated[float, number(1.0, 30.0, "the joints' own friction; a pressed tool")] = 6.0

@@ -8,6 +8,7 @@ from pydantic_core import ErrorDetails
 from pydantic_settings import TomlConfigSettingsSource
 
 from service.config.cell_config import CellConfig
+from service.config.units import likely
 from service.program import PROGRAM
 
 PATH_VARIABLE = "DSL_ASSEMBLY_CONFIG"
@@ -73,7 +74,9 @@ def _said(problem: ErrorDetails) -> str:
     if problem["type"] == "value_error":
         return problem["msg"].removeprefix("Value error, ")
     given = f", not {problem['input']!r}" if isinstance(problem["input"], str | int | float) else ""
-    return problem["msg"] + given
+    context = problem.get("ctx", {})
+    hint = likely(problem["loc"], problem["input"], context.get("le", context.get("ge")))
+    return problem["msg"] + given + ("" if hint is None else f": {hint}")
 
 
 def _with_absolute_paths(config: CellConfig, base: Path) -> CellConfig:

@@ -5,8 +5,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from service.config.fields import Endpoint, Finite, Force, Name, Port, Position, Section
+from service.config.fields import Endpoint, Force, Host, Name, Port, Position, Section, Turn, count, number
 from wire.endpoints import DEFAULT_ENDPOINT, DEFAULT_WORLD
+from wire.impact import IMPACT_SHARE
+from wire.limits import FORCE_HARD_MAXIMUM_N
 from wire.modes import LockMode, TimeMode
 from wire.task import Conditions
 
@@ -40,7 +42,8 @@ class RecipeSection(Section):
         start_yaw_rad: yaw of the peg during the approach.
         nominal_hole_m: centre of the hole's mouth, used where no camera estimates it.
         hover_m: height above the hole's mouth at which the approach ends.
-        approach_speed_m_s: speed of the scripted moves.
+        impact_n: momentary true force that the part bears; None: twice its force ceiling.
+        approach_speed_m_s: speed of the scripted moves; None: 0.08 m/s, or less where the part would not bear the blow.
         max_steps: policy steps before the run fails, where fewer than the policy's own.
         success_depth_m: depth of the peg's bottom below the surface that counts as inserted.
         retract: whether the tool moves up at the end of a run; otherwise it stays where the run ended.
@@ -49,20 +52,29 @@ class RecipeSection(Section):
     """
 
     part: Name
-    clearance_m: Annotated[float, Field(ge=0.05e-3, le=6e-3, allow_inf_nan=False)]
+    clearance_m: Annotated[float, number(0.05e-3, 6e-3, "range of clearances that the simulated world has")]
     policy: Path
     policy_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
     force_ceiling_n: Force | None = None
     start_position_m: Position
-    start_yaw_rad: Finite
+    start_yaw_rad: Turn
     nominal_hole_m: Position
-    hover_m: Annotated[float, Field(ge=0.005, le=0.1, allow_inf_nan=False)] = 0.025
-    approach_speed_m_s: Annotated[float, Field(gt=0.0, le=0.25, allow_inf_nan=False)] = 0.08
-    max_steps: Annotated[int, Field(ge=1, le=2000)] | None = None
-    success_depth_m: Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)] = 3.0e-3
+    hover_m: Annotated[float, number(0.005, 0.1, "the hole's height is uncertain; a long search")] = 0.025
+    impact_n: Annotated[float, number(1.0, 2.0 * FORCE_HARD_MAXIMUM_N, "the sensor's noise; a broken part")] | None = (
+        None
+    )
+    approach_speed_m_s: Annotated[float, number(1e-3, 0.25, "it hardly moves; speed beside people")] | None = None
+    max_steps: Annotated[int, count(1, 2000, "no step; minutes of pushing")] | None = None
+    success_depth_m: Annotated[float, number(1e-3, 0.05, "a tilted peg on the rim; deeper than pegs are long")] = 3.0e-3
     retract: bool = True
     conditions: Conditions = "standard"
     allow_lock: Annotated[tuple[LockMode, ...], Field(min_length=1)] = ("paper",)
+
+    def bears_n(self, cell_ceiling_n: float) -> float:
+        """Return the momentary true force that the part bears, N, given the cell's force ceiling."""
+        if self.impact_n is not None:
+            return self.impact_n
+        return IMPACT_SHARE * (cell_ceiling_n if self.force_ceiling_n is None else self.force_ceiling_n)
 
 
 class SimSection(Section):
@@ -92,7 +104,7 @@ class CameraSection(Section):
 
     endpoint: Endpoint
     key: Annotated[str, Field(min_length=1, pattern=r"^[^*$#?\s]+$")]
-    max_age_s: Annotated[float, Field(gt=0.0, le=5.0, allow_inf_nan=False)] = 0.2
+    max_age_s: Annotated[float, number(0.01, 5.0, "no camera is that fast; the hole may have moved")] = 0.2
 
 
 class ApiSection(Section):
@@ -107,7 +119,7 @@ class ApiSection(Section):
         allowed_hosts: names in a `Host` header that are accepted besides the loopback ones.
     """
 
-    host: str = "127.0.0.1"
+    host: Host = "127.0.0.1"
     port: Port = 8000
     database: str = ""
     autostart: bool = True
@@ -124,4 +136,4 @@ class ClientLossSection(Section):
     """
 
     policy: Literal["continue", "stop"] = "continue"
-    limit_s: Annotated[float, Field(ge=0.2, le=60.0, allow_inf_nan=False)] = 2.0
+    limit_s: Annotated[float, number(0.2, 60.0, "clients are heard every 0.1 s; longer than a run")] = 2.0

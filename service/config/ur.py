@@ -1,10 +1,41 @@
-"""A Universal Robots controller."""
+"""A Universal Robots controller, and what the arms of its series can do."""
 
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from service.config.fields import Finite, Port, Position, Positive, Section
+from service.config.fields import Host, Offset, Port, Section, Turn, number
+
+ArmModel = Literal["UR3e", "UR5e", "UR10e", "UR16e"]
+
+
+@dataclass(frozen=True, slots=True)
+class Rating:
+    """Ratings of an arm, from the manufacturer's data sheets.
+
+    Attributes:
+        payload_kg: largest payload.
+        reach_m: radius of the working space about the base.
+        force_range_n: end of the sensor's range, per channel of force.
+        torque_range_nm: end of the sensor's range, per channel of torque.
+    """
+
+    payload_kg: float
+    reach_m: float
+    force_range_n: float
+    torque_range_nm: float
+
+
+RATINGS: dict[ArmModel, Rating] = {
+    "UR3e": Rating(3.0, 0.5, 30.0, 10.0),
+    "UR5e": Rating(5.0, 0.85, 50.0, 10.0),
+    "UR10e": Rating(12.5, 1.3, 100.0, 10.0),
+    "UR16e": Rating(16.0, 0.9, 160.0, 10.0),
+}
+
+Centre = tuple[Offset, Offset, Offset]
+TcpPose = tuple[Offset, Offset, Offset, Turn, Turn, Turn]
 
 
 class UrSection(Section):
@@ -12,6 +43,7 @@ class UrSection(Section):
 
     Attributes:
         host: address of the controller.
+        arm: model of the arm; payload, start poses and the sensor's range are checked against its ratings.
         rtde_port: port of its real-time data exchange.
         dashboard_port: port of its dashboard server.
         primary_port: port of its primary interface, which takes the control program.
@@ -32,7 +64,8 @@ class UrSection(Section):
         connect_s: longest time that the controller may take for one answer.
     """
 
-    host: str
+    host: Host
+    arm: ArmModel = "UR3e"
     rtde_port: Port = 30004
     dashboard_port: Port = 29999
     primary_port: Port = 30001
@@ -40,13 +73,13 @@ class UrSection(Section):
     model: Annotated[str, Field(pattern=r"^UR\d+\w*$")] | None = None
     serial: Annotated[str, Field(pattern=r"^\d+$")] | None = None
     simulated: bool = False
-    payload_kg: Annotated[float, Field(ge=0.0, le=50.0, allow_inf_nan=False)]
-    payload_com_m: Position
-    tcp_m: tuple[Finite, Finite, Finite, Finite, Finite, Finite]
+    payload_kg: Annotated[float, number(0.0, 16.0, "a bare flange; the strongest arm of the series")]
+    payload_com_m: Centre
+    tcp_m: TcpPose
     torque_about: Literal["flange", "tcp"] = "flange"
-    force_range_n: Positive = 30.0
-    torque_range_nm: Positive = 10.0
-    watchdog_hz: Annotated[float, Field(ge=2.0, le=50.0, allow_inf_nan=False)] = 10.0
-    stop_retract_m: Annotated[float, Field(ge=0.0, le=0.02, allow_inf_nan=False)] = 0.0
+    force_range_n: Annotated[float, number(5.0, 160.0, "a contact saturates it; the strongest sensor")] = 30.0
+    torque_range_nm: Annotated[float, number(0.5, 10.0, "a contact saturates it; every sensor of the series")] = 10.0
+    watchdog_hz: Annotated[float, number(2.0, 50.0, "half a second without a host; a host's own jitter")] = 10.0
+    stop_retract_m: Annotated[float, number(0.0, 0.02, "no retract; longer than a stop lasts")] = 0.0
     prove_watchdog: bool | None = None
-    connect_s: Annotated[float, Field(ge=0.5, le=30.0, allow_inf_nan=False)] = 3.0
+    connect_s: Annotated[float, number(0.5, 30.0, "a controller answers in 0.1 s; a start that hangs")] = 3.0

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from service.policy.contract import PolicyContract
 from service.policy.observation import ObservationMode
+from service.safety.contact_loop import why_not_law
 from training.environment import design
 from training.environment.reward import FORCE_COST_PER_N, RewardName
 from wire.law import ComplianceLaw
@@ -232,6 +233,8 @@ class Experiment(ExperimentSection):
             Task(0, self.task.parts[0], clearance * 1e-3).check()
         design.check_conditions(self.task.mode, self.evaluation.conditions or self.task.conditions)
         self.contract()
+        if reasons := tuple(why_not_law(self.law)):
+            raise ValueError(f"law: {'; '.join(reasons)}")
         return self
 
     def contract(self) -> PolicyContract:

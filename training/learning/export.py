@@ -17,6 +17,7 @@ from torch.nn.functional import linear
 
 from service.policy.contract import EvaluationFigure, PolicyContract
 from service.policy.model import Policy
+from service.safety.contact_loop import why_not_law
 from training import files
 from training.learning.network import ActorCritic
 from wire.arrays import Float32Array
@@ -140,9 +141,12 @@ def export(network: ActorCritic, contract: PolicyContract, path: Path) -> Policy
     """Write a network's deterministic actor with its contract, after loading it as a cell would.
 
     Raises:
-        ValueError: the exported graph and the network compute different actions; nothing is written.
+        ValueError: the exported graph and the network compute different actions, or the contract's compliance law
+            swings; nothing is written.
         service.policy.model.PolicyError: the service would refuse the file; nothing is written.
     """
+    if reasons := tuple(why_not_law(contract.compliance)):
+        raise ValueError(f"{path} is not written, because no cell would run it: {'; '.join(reasons)}")
     return _write(to_onnx(network, contract), path)
 
 

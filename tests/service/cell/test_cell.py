@@ -348,7 +348,7 @@ async def test_telemetry_shows_a_peak_between_two_of_its_points_once(faulty_cell
 async def test_a_lower_ceiling_of_the_recipe_holds_for_its_runs_is_shown_and_bars_a_reset(
     simulated_cell: SimulatedCellFactory, tmp_path: Path
 ) -> None:
-    async with simulated_cell(policies.still(tmp_path), force_ceiling_n=6.0) as bench:
+    async with simulated_cell(policies.still(tmp_path), force_ceiling_n=6.0, impact_n=30.0) as bench:
         assert bench.cell.status().force_ceiling_n == 30.0
         started = await bench.start(3)
         await bench.state(CellState.APPROACH)

@@ -1,6 +1,7 @@
 """Every mismatch of a policy and a cell is named."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -8,10 +9,13 @@ import pytest
 from service.cell.fit import CellCapabilities, mismatches
 from service.config import LimitsSection
 from service.policy.contract import ObservationEntry
+from service.policy.model import Policy
 from service.policy.observation import Need
+from service.safety.contact_loop import why_not_law
 from tests.service.policy.model_files import contract
 from wire.limits import FORCE_CEILING_N, WORKSPACE_M
 
+ROOT = Path(__file__).parents[3]
 LIMITS = LimitsSection(
     force_ceiling_n=FORCE_CEILING_N,
     workspace_m=WORKSPACE_M,
@@ -40,6 +44,7 @@ def test_a_cell_that_offers_everything_can_run_it() -> None:
     ("changes", "says"),
     [
         ({"tick_s": 0.008}, "tick of 2 ms, the cell has 8 ms"),
+        ({"limits": LIMITS.model_copy(update={"target_age_s": 0.08})}, "acts every 80 ms (ticks_per_step), the arm"),
         ({"part": "cir"}, "the policy is for tr, the cell assembles cir"),
         ({"clearance_m": 0.1e-3}, "0.3 to 2 mm per face, the cell has 0.1 mm"),
         (without(Need.HOLE), "'hole_offset_xy' needs a camera's estimate of the hole"),
@@ -53,6 +58,24 @@ def test_a_cell_that_offers_everything_can_run_it() -> None:
 )
 def test_what_a_cell_cannot_offer_is_named(changes: dict[str, Any], says: str) -> None:
     assert says in "; ".join(mismatches(contract(), replace(CELL, **changes)))
+
+
+def test_a_touch_that_the_part_does_not_bear_is_named_for_approach_and_search() -> None:
+    assert mismatches(contract(), replace(CELL, bears_n=10.0)) == ()
+    (search,) = mismatches(contract(), replace(CELL, bears_n=1.0))
+    assert "the search (dsl.seek_step_m and the action's dz) reaches 0.004 m/s" in search
+    assert "the part bears 1 N" in search
+    (approach,) = mismatches(contract(), replace(CELL, bears_n=10.0, approach_speed_m_s=0.1))
+    assert approach.startswith("approach_speed_m_s of the recipe reaches 0.024 m/s: a touch gives up to 14 N")
+
+
+def test_a_heavy_payload_makes_a_light_law_swing() -> None:
+    assert "swings" in "; ".join(mismatches(contract(), replace(CELL, payload_kg=6.0)))
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "models").glob("*.onnx")), ids=lambda path: path.stem)
+def test_the_law_of_every_policy_that_ships_is_admitted(path: Path) -> None:
+    assert not list(why_not_law(Policy.load(path).contract.compliance))
 
 
 def test_ftm_needs_no_camera() -> None:

@@ -16,6 +16,7 @@ from sim_backend.world.scene import NOMINAL_HOLE_M
 from sim_backend.world.world import START_POSITION_M, START_YAW_RAD
 from training.environment.design import vftm_dsl
 from training.environment.insertion import Insertions
+from wire.impact import blow_n
 from wire.law import ControlLimits
 from wire.limits import FORCE_CEILING_N, WORKSPACE_M
 from wire.records import TICK_S
@@ -86,3 +87,16 @@ def test_start_and_nominal_hole_of_the_shipped_recipe_are_those_of_training(plan
 
 def test_the_cells_stiffest_law_admits_the_one_of_training(plan: Plan) -> None:
     assert (np.array(plan.law.stiffness) <= np.array(SHIPPED.limits.max_stiffness)).all()
+
+
+@pytest.mark.parametrize(("force_ceiling_n", "speed"), [(30.0, 0.08), (20.0, 0.0654), (8.0, 0.0262)])
+def test_an_approach_without_a_speed_is_as_fast_as_its_part_bears(force_ceiling_n: float, speed: float) -> None:
+    recipe = RECIPE.model_copy(update={"force_ceiling_n": force_ceiling_n})
+    planned = plan_insertion(SHIPPED, recipe, vftm_dsl()).approach_speed_m_s
+    assert planned == pytest.approx(speed, abs=5e-4)
+    assert blow_n(planned, 2.5, SHIPPED.limits.contact_n_m) <= 2.0 * force_ceiling_n + 1e-9
+
+
+def test_an_approach_at_the_recipes_speed_is_at_the_recipes_speed() -> None:
+    recipe = RECIPE.model_copy(update={"approach_speed_m_s": 0.033})
+    assert plan_insertion(SHIPPED, recipe, vftm_dsl()).approach_speed_m_s == 0.033

@@ -141,6 +141,16 @@ async def test_27_a_contract_that_does_not_fit_is_refused_with_the_mismatch(tmp_
         assert bench.cell.state is CellState.READY
 
 
+async def test_68_a_law_that_swings_within_the_numeric_limits_is_refused_with_its_damping_ratio(tmp_path: Path) -> None:
+    swings = replace(LAW, damping=(380.0, 380.0, 60.0, 1.0, 1.0, 0.5), inertia=(2.5, 2.5, 0.5, 0.06, 0.06, 0.03))
+    policy = policies.still(tmp_path, compliance=swings)
+    async with lockstep_cell(cell_config(tmp_path / "state", policy)) as bench:
+        with pytest.raises(AssertionError, match=r"compliance z swings on a contact .* damping ratio -0\.39, at least"):
+            await bench.start()
+        assert bench.cell.state is CellState.READY
+        assert bench.cell.journal.newest(10) == ()
+
+
 async def test_28_a_policy_replaced_on_disk_runs_on_and_is_refused_next_time(
     faulty_cell: FaultyCell, tmp_path: Path
 ) -> None:

@@ -11,7 +11,7 @@ from service.safety.dsl import DslParameters
 from wire.law import ComplianceLaw
 
 LAW = ComplianceLaw(
-    stiffness=(800.0,) * 3 + (10.0,) * 3, damping=(80.0,) * 3 + (1.0,) * 3, inertia=(2.0,) * 3 + (0.02,) * 3
+    stiffness=(800.0,) * 3 + (10.0,) * 3, damping=(400.0,) * 3 + (1.0,) * 3, inertia=(2.0,) * 3 + (0.02,) * 3
 )
 ACTION = (
     ActionEntry(name="dx", unit="m", frame="tool", limit=3e-3, map="signed_square"),

@@ -95,8 +95,16 @@ def test_what_the_policy_does_may_differ_from_the_usual(tmp_path: Path) -> None:
 
 
 def test_a_law_of_its_own_goes_into_the_contract(tmp_path: Path) -> None:
-    law = "[law]\nstiffness = [1, 2, 3, 4, 5, 6]\ndamping = [1, 1, 1, 1, 1, 1]\ninertia = [2, 2, 2, 2, 2, 2]\n"
+    law = "[law]\nstiffness = [1, 2, 3, 4, 5, 6]\ndamping = [400, 400, 400, 1, 1, 1]\n"
+    law += "inertia = [2, 2, 2, 0.1, 0.1, 0.1]\n"
     assert written(tmp_path, MINIMAL + law).contract().compliance.stiffness == (1, 2, 3, 4, 5, 6)
+
+
+def test_68_a_law_that_swings_is_refused_before_it_is_trained_with(tmp_path: Path) -> None:
+    law = "[law]\nstiffness = [2500, 2500, 3000, 5, 5, 8]\ndamping = [380, 380, 60, 1, 1, 0.5]\n"
+    law += "inertia = [2.5, 2.5, 0.5, 0.06, 0.06, 0.03]\n"
+    with pytest.raises(ExperimentError, match=r"law: compliance z swings on a contact .* damping ratio -0\.39"):
+        written(tmp_path, MINIMAL + law)
 
 
 @pytest.mark.parametrize(

@@ -149,7 +149,7 @@ async def test_the_controller_s_own_ceiling_stops_a_push_that_the_host_does_not_
     ur_cell: UrCell, tmp_path: Path
 ) -> None:
     """The host's monitor is blind here; what stops the arm is the control program."""
-    async with ur_cell(policies.still(tmp_path), force_ceiling_n=4.0, conditions="standard") as bench:
+    async with ur_cell(policies.still(tmp_path), force_ceiling_n=4.0, impact_n=30.0, conditions="standard") as bench:
         bench.cell._intake.renew = lambda force_ceiling_n=None: type(bench.cell._intake).renew(bench.cell._intake, 50.0)
         run = await bench.insert(5)
         assert (run.state, run.code) == (RunState.LATCHED, FaultCode.FORCE_CEILING)

@@ -26,7 +26,12 @@ def test_every_name_of_the_template_is_filled_in_and_none_is_left_over() -> None
         ("limits", "max_turn_rad", 0.11, "MAX_TURN = 0.11"),
         ("limits", "max_speed_m_s", 0.09, "MAX_SPEED = 0.09"),
         ("limits", "max_turn_speed_rad_s", 1.5, "MAX_TURN_SPEED = 1.5"),
-        ("limits", "max_stiffness", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), "MAX_STIFFNESS = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]"),
+        (
+            "limits",
+            "max_stiffness",
+            (11.0, 12.0, 13.0, 4.0, 5.0, 6.0),
+            "MAX_STIFFNESS = [11.0, 12.0, 13.0, 4.0, 5.0, 6.0]",
+        ),
         ("limits", "min_damping", (1.0, 2.0, 3.0, 0.4, 0.5, 0.6), "MIN_DAMPING = [1.0, 2.0, 3.0, 0.4, 0.5, 0.6]"),
         ("limits", "max_damping", (700.0,) * 3 + (1.0,) * 3, "MAX_DAMPING = [700.0, 700.0, 700.0, 1.0, 1.0, 1.0]"),
         ("limits", "max_inertia", (3.0,) * 3 + (0.1,) * 3, "MAX_INERTIA = [3.0, 3.0, 3.0, 0.1, 0.1, 0.1]"),

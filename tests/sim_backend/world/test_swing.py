@@ -1,0 +1,53 @@
+"""What the model of the contact loop says of a law, the simulated arm does: calm inside the limit, a swing outside."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from benchmarks.stands.touching_arm import Touch, touch
+from service.safety.contact_loop import SHIFT, TILT, TURN, why_not_law
+from sim_backend.world import kinematics, scene
+from sim_backend.world.servo import gains
+from sim_backend.world.world import World
+from training.environment.design import LAW
+from wire.law import ComplianceLaw
+
+CALM_N = 0.75
+"""Standard deviation of the true load that the sensor's noise alone causes, N; a swing causes more."""
+
+
+def vertically(damping: float, inertia: float) -> ComplianceLaw:
+    return replace(LAW, damping=(380.0, 380.0, damping, 1.0, 1.0, 0.5), inertia=(2.5, 2.5, inertia, 0.06, 0.06, 0.03))
+
+
+@pytest.mark.timeout(300)
+def test_68_laws_just_inside_the_limit_stay_calm_on_stiff_contacts_and_laws_outside_swing() -> None:
+    inside = [vertically(300.0, 2.5), vertically(650.0, 0.5), vertically(200.0, 10.0), LAW]
+    outside = [vertically(150.0, 2.5), vertically(200.0, 0.5), vertically(60.0, 2.5)]
+    assert not [reason for law in inside for reason in why_not_law(law)]
+    assert all(tuple(why_not_law(law)) for law in outside)
+    touches = [Touch(law, 0.03, "stiff", 4) for law in (*inside, *outside)]
+    touched = touch(touches, "face", 2e-3)
+    assert touched.engaged[: len(inside)].all()
+    assert (touched.swing_n[: len(inside)] < CALM_N).all(), touched.swing_n
+    swings = (touched.swing_n > CALM_N) | ~touched.engaged
+    assert swings[len(inside) :].all(), touched.swing_n
+
+
+def test_the_followers_are_those_of_the_simulated_arm() -> None:
+    world = World()
+    world.place(np.array([0]), np.array([scene.NOMINAL_HOLE_M]), np.zeros(1))
+    model, data = world.model(), world.data()
+    mujoco.mj_forward(model, data)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    jacobian = kinematics.jacobian(world.joints, np.array([0.0, 0.0, scene.TCP_OFFSET_M]))[0]
+    stiffness = 1.0 / np.diag(jacobian @ np.diag(1.0 / gains(model)[0]) @ jacobian.T)
+    masses = 1.0 / np.diag(jacobian @ np.linalg.inv(mass[:6, :6]) @ jacobian.T)
+    for axis, follower in ((2, SHIFT), (3, TILT), (5, TURN)):
+        assert follower.stiffness == pytest.approx(stiffness[axis], rel=0.05)
+        assert follower.mass == pytest.approx(masses[axis], rel=0.05)
+    assert SHIFT.stiffness == pytest.approx(stiffness[:3].max(), rel=0.05), "the stiffest direction"
+    assert SHIFT.payload == scene.PAYLOAD_KG

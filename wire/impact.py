@@ -1,0 +1,72 @@
+"""Bounds the true force of an unexpected touch, and the speed at which a part bears it.
+
+Three momenta meet a contact before the law can yield: the arm's own, the way that it goes on while the sensor is late,
+and the law's virtual mass. Each adds a force in proportion to the speed v:
+
+    blow = v (√(c m) + k T + √(k M)),     1/k = 1/c + 1/a
+
+c: stiffness of the contact; m and a: mass and stiffness of the arm at the TCP; T: time from a force to the answer; M:
+virtual mass. What pushes after the blow rises slowly enough for the ceiling: true force <= max(blow, ceiling + v k T).
+`docs/explanation/force-overshoot.md` derives it and compares it with a sweep of the simulated world.
+"""
+
+from collections.abc import Sequence
+from math import sqrt
+
+from wire.law import ComplianceLaw
+from wire.records import TICK_S
+from wire.task import SENSOR_DELAY_TICKS
+
+ARM_KG = 3.9
+"""Mass of the simulated UR3e at the TCP vertically, where it is largest, kg."""
+ARM_N_M = 17e3
+"""Stiffness of the simulated UR3e at the TCP vertically, where it is largest, N/m."""
+BLIND_S = (SENSOR_DELAY_TICKS[1] + 2) * TICK_S
+"""Time from a force to the arm's answer, s: the longest delay of the sensor, the cell's tick and the arm's."""
+CONTACT_N_M = 27e3
+"""Stiffness of the simulated world's nominal contact, N/m: the arm's mass over the square of 12 ms."""
+IMPACT_SHARE = 2.0
+"""Momentary force that a part bears, as a multiple of its ceiling, unless its recipe says otherwise. ISO/TS 15066 has
+the same ratio of transient to lasting contact."""
+
+
+def blow_n(speed_m_s: float, inertia_kg: float, contact_n_m: float) -> float:
+    """Return the bound of the first peak of the true force, N.
+
+    Args:
+        speed_m_s: speed at the touch.
+        inertia_kg: virtual mass of the law.
+        contact_n_m: stiffness of the contact.
+    """
+    return speed_m_s * _resistance(inertia_kg, contact_n_m)
+
+
+def fastest_m_s(impact_n: float, inertia_kg: float, contact_n_m: float) -> float:
+    """Return the speed at which the blow is `impact_n`, m/s; the other arguments are those of `blow_n`."""
+    return impact_n / _resistance(inertia_kg, contact_n_m)
+
+
+def peak_n(speed_m_s: float, inertia_kg: float, contact_n_m: float, ceiling_n: float) -> float:
+    """Return the bound of the true force until the ceiling stops the arm, N; other arguments as for `blow_n`."""
+    return max(blow_n(speed_m_s, inertia_kg, contact_n_m), ceiling_n + speed_m_s * _series(contact_n_m) * BLIND_S)
+
+
+def reached_m_s(speed_m_s: float, lead_m: float, law: ComplianceLaw, axes: Sequence[int] = (0, 1, 2)) -> float:
+    """Return the speed that an arm reaches behind its target, m/s.
+
+    Args:
+        speed_m_s: speed of the target.
+        lead_m: largest lead of the target; the law moves at most at stiffness times lead over damping.
+        law: compliance law.
+        axes: axes of the motion.
+    """
+    return min(speed_m_s, max(law.stiffness[axis] * lead_m / law.damping[axis] for axis in axes))
+
+
+def _series(contact_n_m: float) -> float:
+    return 1.0 / (1.0 / contact_n_m + 1.0 / ARM_N_M)
+
+
+def _resistance(inertia_kg: float, contact_n_m: float) -> float:
+    series = _series(contact_n_m)
+    return sqrt(contact_n_m * ARM_KG) + series * BLIND_S + sqrt(series * inertia_kg)
