@@ -1,4 +1,4 @@
-"""The table of faults with the tests of each row: `python -m tests.fault_table` writes docs/reference/fault-table.md."""
+"""The table of faults with the tests of each row. As a program it writes docs/reference/fault-table.md."""
 
 import ast
 import re
@@ -15,13 +15,15 @@ NUMBERED = re.compile(r"test_(\d\d)_\w+")
 HEAD = """\
 # Fault table
 
-Each row is a fault that the tests inject, and the outcome that they observe in the motion and the record. The name of a row's test begins with
-its number. `python -m tests.fault_table` writes this page from `tests/faults.toml` and from the tests; a test keeps it up to date.
+Each row is a fault that the tests inject, and the outcome that they observe in the motion and the record.
+The name of a row's test begins with its number. `python -m tests.fault_table` writes this page from
+`tests/faults.toml` and from the tests; a test keeps it up to date.
 
-**LATCH(code)** means: the first stop command leaves within one monitor tick (2 ms) of simulated time, 10 ms at the 99.9th percentile in a real
-process. No motion command follows. The cell stays latched, across a restart too, until an explicit reset. A reset never moves the robot and never
-resumes the old run. A start is answered 409 with the code. The run's row has the cause and the peak force. The recording is readable to within
-0.5 s of the trip. [Fault codes](faults.md) explains the codes; [Safety](../explanation/safety.md) says what is promised.
+**LATCH(code)** means: the first stop command leaves within one monitor tick (2 ms) of simulated time, 10 ms at the
+99.9th percentile in a real process. No motion command follows. The cell stays latched, across a restart too, until
+an explicit reset. A reset never moves the robot and never resumes the old run. A start is answered 409 with the code.
+The run's row has the cause and the peak force. The recording is readable to within 0.5 s of the trip.
+[Fault codes](faults.md) explains the codes; [Safety](../explanation/safety.md) says what is promised.
 
 | row | injected | expected | tests |
 |---|---|---|---|

@@ -51,14 +51,27 @@ EXPLAINED = (
     Rule("a sum is finite only where every term is, whatever the signs", r"isfinite\(f[xyz]"),
     Rule("the default of an empty sequence, which no caller passes", r"default="),
     Rule("a peak that is met is the same peak", r"force >= self\._peak"),
-    Rule("callers pass arrays of the right type already", r"np\.(as)?array\(\w+, (None)?\)|np\.zeros\(.*(None|, )\)|ones_like\(None\)"),
-    Rule("the first sample sets it, whatever it was", r"self\._(episode|seq|wrench_bytes|standing|repeats) = .*→", "reset"),
+    Rule(
+        "callers pass arrays of the right type already",
+        r"np\.(as)?array\(\w+, (None)?\)|np\.zeros\(.*(None|, )\)|ones_like\(None\)",
+    ),
+    Rule(
+        "the first sample sets it, whatever it was",
+        r"self\._(episode|seq|wrench_bytes|standing|repeats) = .*→",
+        "reset",
+    ),
     Rule("a stop is repeated in every period, whatever its phase", r"STOP_AGAIN_TICKS == 1"),
-    Rule("at the boundary both branches give the same number", r"sine >= 1e-12|outside = distance >= radius|distance, radius\), 2\.0|1e-12\), 2\.0"),
+    Rule(
+        "at the boundary both branches give the same number",
+        r"sine >= 1e-12|outside = distance >= radius|distance, radius\), 2\.0|1e-12\), 2\.0",
+    ),
     Rule("a flag for people, at a limit that is met to the last bit", r"to_go_(m|rad) >= parameters"),
     Rule("an angle plus or minus half a turn, wrapped, is the same angle", r"- np\.pi, 2 \* np\.pi"),
     Rule("a bound beyond which nothing is a number of this cell", r"1e6|1000001\.0"),
-    Rule("a lower corner of None is no corner below the measured pose, which the leash keeps near", r"np\.clip\(position, None"),
+    Rule(
+        "a lower corner of None is no corner below the measured pose, which the leash keeps near",
+        r"np\.clip\(position, None",
+    ),
 )
 
 
@@ -97,7 +110,9 @@ def _copy(place: Path) -> None:
 def _results(place: Path) -> dict[str, int]:
     found: dict[str, int] = {}
     for path in (place / "mutants").rglob("*.py.meta"):
-        found |= {name: code for name, code in json.loads(path.read_text())["exit_code_by_key"].items() if code is not None}
+        found |= {
+            name: code for name, code in json.loads(path.read_text())["exit_code_by_key"].items() if code is not None
+        }
     return found
 
 

@@ -20,7 +20,7 @@ PLACE: ContextVar["Place"] = ContextVar("PLACE")
 START_S = 1000.0
 
 
-class Deadlock(Exception):
+class DeadlockError(Exception):
     """Nothing is ready and no timer is set."""
 
 
@@ -207,7 +207,7 @@ class VirtualLoop(asyncio.BaseEventLoop):
             scheduled[0]._when if scheduled else float("inf"), self._asleep[0][0] if self._asleep else float("inf")
         )
         if next_s == float("inf"):
-            raise Deadlock
+            raise DeadlockError
         self._now = max(self._now, next_s)
 
 

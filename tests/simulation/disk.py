@@ -1,4 +1,4 @@
-"""The disk under a state directory: real files in memory, with a slow `fsync` and power cuts that lose what was not synced."""
+"""The disk under a state directory: real files, a slow `fsync`, and power cuts that lose what was not synced."""
 
 import errno
 import os

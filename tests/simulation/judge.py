@@ -1,4 +1,4 @@
-"""The invariants, judged by the true motion, the true force and the record; `docs/explanation/safety.md` has them in words."""
+"""The invariants, judged by the true motion, the true force and the record."""
 
 import json
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from wire.records import Program
 MOVING_M_S = 2e-3
 """Speed at which an arm counts as moving; the cell measures standstill with the same number."""
 BRAKING_S = 0.6
-"""Time in which an arm stands whose run is gone: its target grows old, its speed limit falls to zero, its servo lags."""
+"""Time in which an arm stands whose run is gone: its target grows old, its speed limit falls to zero."""
 SETTLED_S = 0.05
 """Time after which a latch must survive a kill: the disk has had it."""
 UNKNOWN_OUTCOMES = frozenset({"CELL_SILENT", "SHUTTING_DOWN", None})
@@ -115,9 +115,10 @@ class Judge:
             return
         if answer.status >= 500 and answer.document is None:
             self._violation("crash", f"{answer.kind} was answered {answer.status}")
-        if answer.kind == "stop" and answer.status in (200, 202) and answer.document["state"] != "UNKNOWN":
-            if self._stop is None or answer.received_s >= (self._stop.received_s or 0.0):  # type: ignore[operator]
-                self._stop = answer
+        told = answer.kind == "stop" and answer.status in (200, 202) and answer.document["state"] != "UNKNOWN"
+        newest_s = 0.0 if self._stop is None else self._stop.received_s or 0.0
+        if told and (answer.received_s or 0.0) >= newest_s:
+            self._stop = answer
         if answer.kind == "runs" and answer.status == 200:
             active = [run["id"] for run in answer.document["runs"] if run["state"] == RunState.ACTIVE]
             if len(active) > 1:

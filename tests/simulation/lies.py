@@ -1,4 +1,4 @@
-"""Sensors that lie. Each makes of the true wrench what the sensor says; the arm's own law believes it as the cell does."""
+"""Sensors that lie. Each makes of the true wrench what the sensor says. The arm's own law believes it, too."""
 
 import math
 

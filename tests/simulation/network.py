@@ -1,6 +1,5 @@
 """A simulated Zenoh: the sessions that the code uses, on links that delay, drop, repeat, reorder and stall messages."""
 
-import asyncio
 import random
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -219,7 +218,14 @@ class Session:
                     self.network.carry(self.process, peer.place, True, peer.deliver, subscriber.call, sample)
 
     def get(
-        self, selector: Any, handler: Any, *, payload: Any = None, timeout: float = 10.0, attachment: Any = None, **_: Any
+        self,
+        selector: Any,
+        handler: Any,
+        *,
+        payload: Any = None,
+        timeout: float = 10.0,
+        attachment: Any = None,
+        **_: Any,
     ) -> None:
         key, _separator, parameters = str(selector).partition("?")
         asked = Asked(self, handler.callback, handler.drop)

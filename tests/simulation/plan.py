@@ -55,7 +55,11 @@ def draw(seed: int) -> Plan:
     s = plan.surroundings
     s.stiffness = chance.choice((2e4, 3e4, 5e4))
     s.delay_ticks = chance.randint(1, 4)
-    s.hole = (0.3 + chance.uniform(-0.02, 0.02), -0.11 + chance.uniform(-0.02, 0.02), 0.08 + chance.uniform(-0.005, 0.005))
+    s.hole = (
+        0.3 + chance.uniform(-0.02, 0.02),
+        -0.11 + chance.uniform(-0.02, 0.02),
+        0.08 + chance.uniform(-0.005, 0.005),
+    )
     s.camera_m = tuple(chance.gauss(0.0, 4e-4) for _ in range(3))  # type: ignore[assignment]
     story = chance.choice(STORIES)
     story(plan, chance)
@@ -99,6 +103,7 @@ def _afterwards(plan: Plan, chance: random.Random, at_s: float) -> None:
 
 # --- what goes wrong
 
+
 def _any_fault(plan: Plan, chance: random.Random, at_s: float) -> None:
     chance.choice((_freeze, _network, _disk, _database, _crash, _clock))(plan, chance, at_s)
 
@@ -116,7 +121,12 @@ def _network(plan: Plan, chance: random.Random, at_s: float) -> None:
     if kind in ("stall", "cut"):
         plan.add(at_s, kind, link=(one, other), seconds=chance.choice((0.05, 0.2, 0.6)))
         return
-    strength = {"slow": (1e-3, chance.choice((0.01, 0.05))), "drop": chance.choice((0.05, 0.3)), "repeat": 0.3, "reorder": 1}
+    strength = {
+        "slow": (1e-3, chance.choice((0.01, 0.05))),
+        "drop": chance.choice((0.05, 0.3)),
+        "repeat": 0.3,
+        "reorder": 1,
+    }
     plan.add(at_s, kind, link=(one, other), strength=strength[kind], seconds=chance.uniform(0.2, 2.0))
 
 
@@ -227,4 +237,14 @@ def idle(plan: Plan, chance: random.Random) -> None:
     _look(plan, chance)
 
 
-STORIES = (plain, stop_beside_start, stop_beside_start, stop_in_run, many_starts, two_faults, lying_sensor, wrong_camera, idle)
+STORIES = (
+    plain,
+    stop_beside_start,
+    stop_beside_start,
+    stop_in_run,
+    many_starts,
+    two_faults,
+    lying_sensor,
+    wrong_camera,
+    idle,
+)

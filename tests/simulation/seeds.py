@@ -41,7 +41,7 @@ class Report:
         speed = self.simulated_s / self.computed_s if self.computed_s else 0.0
         lines.append(
             f"{self.count} seeds, {len(self.failed)} with violations; {self.simulated_s:.0f} s simulated in "
-            f"{self.computed_s:.0f} s of processor time ({speed:.0f} times real time a core), {wall_s:.0f} s by the clock"
+            f"{self.computed_s:.0f} s of processor time ({speed:.0f} times real time), {wall_s:.0f} s by the clock"
         )
         return "\n".join(lines)
 

@@ -127,7 +127,9 @@ class Story:
             self.happen(happening)
         await asyncio.sleep(max(0.0, began_s + LENGTH_S - universe.loop.time()))
         patient_until = universe.loop.time() + plan.patience_s
-        while universe.loop.time() < patient_until and universe.cell is not None and universe.cell.runs.active is not None:
+        while (
+            universe.loop.time() < patient_until and universe.cell is not None and universe.cell.runs.active is not None
+        ):
             await asyncio.sleep(0.05)
         await self.come_to_rest()
 

@@ -221,7 +221,9 @@ def _defaults(host: Host) -> list[Change]:
     }  # fmt: skip
     found: list[Change] = []
     for function in _functions_with_clocks():
-        defaults = tuple(clocks.get(value, value) if callable(value) else value for value in function.__defaults__ or ())
+        defaults = tuple(
+            clocks.get(value, value) if callable(value) else value for value in function.__defaults__ or ()
+        )
         named = {
             name: clocks.get(value, value) if callable(value) else value
             for name, value in (function.__kwdefaults__ or {}).items()

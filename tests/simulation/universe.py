@@ -20,7 +20,7 @@ from service.cell.cell import Cell
 from service.config import CellConfig
 from service.drivers.zenoh_sim import ZenohSimDriver
 from sim_backend.zenoh_cell.server import Pace, Server
-from tests.simulation.clock import Deadlock, Process, Thread, VirtualLoop
+from tests.simulation.clock import Process, Thread, VirtualLoop
 from tests.simulation.disk import Disk
 from tests.simulation.network import Network
 from tests.simulation.plant import START, LightCell
@@ -391,6 +391,3 @@ def _told(document: Any) -> str:
         return ""
     parts = (document.get(key) for key in ("id", "state", "confirmed", "reason", "code"))
     return " ".join(str(part) for part in parts if part is not None)
-
-
-__all__ = ["Answer", "Deadlock", "Universe", "configuration"]

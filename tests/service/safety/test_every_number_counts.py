@@ -1,4 +1,4 @@
-"""Each axis, each boundary and each sign of the safety core counts: these tests kill what mutation testing left alive."""
+"""Each axis, each boundary and each sign of the safety core counts: these kill what mutation testing left alive."""
 
 from dataclasses import replace
 from math import pi
