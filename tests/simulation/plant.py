@@ -18,6 +18,8 @@ from wire.task import Task
 START = (0.300, -0.110, 0.110)
 TOOL_DOWN = (math.pi, 0.0, 0.0)
 SERVO_S = 0.008
+JOINT_ERROR_N = (1.0, -1.0, 1.5)
+"""Error of the force that the joints feel: the gears' friction."""
 STOP_S = 0.1
 PROTECTIVE_N = 150.0
 HOLE_DEPTH_M = 0.024
@@ -92,6 +94,7 @@ class LightCell:
         self.program = Program.IDLE
         self.stop_reason = StopReason.NONE
         self.halted = 0
+        self.blind = False
         self.age = 0
         self.max_age = 1 << 40
         self.ceiling = math.inf
@@ -99,6 +102,7 @@ class LightCell:
         self.zero = [0.0] * 6
         self.history = [[0.0] * 6] * 8
         self.said = [0.0] * 6
+        self.felt = [0.0] * 3
         self.wrench = [0.0] * 6
         self.law = (1.0, 1.0, 1.0)
         self.max_speed = 1.0
@@ -114,7 +118,8 @@ class LightCell:
 
     def apply(self, command: RecordArray) -> None:
         kind, client = int(command["kind"]), int(command["client"])
-        if kind == Kind.STOP:
+        if kind in (Kind.STOP, Kind.STOP_BLIND):
+            self.blind |= kind == Kind.STOP_BLIND
             self.stop(StopReason.COMMAND)
         elif int(command["epoch"]) != self.epoch:
             return
@@ -144,7 +149,7 @@ class LightCell:
         self.ceiling = float(command["force_ceiling"])
         self.max_age = round(float(command["target_age"]) / TICK_S)
         self.client, self.command_seq = client, int(command["seq"])
-        self.age, self.peak = 0, 0.0
+        self.age, self.peak, self.blind = 0, 0.0, False
         self.target = list(self.reference)
         self.program, self.stop_reason = Program.ENGAGED, StopReason.NONE
 
@@ -213,6 +218,7 @@ class LightCell:
         true = [fx, fy, fz, -0.02 * fy, 0.02 * fx, 0.0]
         said = self.lie([a + b for a, b in zip(true, noise, strict=True)], self.seq)
         self.said = said
+        self.felt = [force[i] + JOINT_ERROR_N[i] + 3.0 * noise[i] for i in range(3)]
         self.wrench = [a - b for a, b in zip(said, self.zero, strict=True)]
 
     def _control(self) -> None:
@@ -237,7 +243,7 @@ class LightCell:
                 return
         stiffness, damping, inertia = self.law
         below = inertia + TICK_S * (damping + TICK_S * stiffness)
-        push = (fx, fy, fz) if math.isfinite(resultant) else (0.0, 0.0, 0.0)
+        push = (fx, fy, fz) if math.isfinite(resultant) and not self.blind else (0.0, 0.0, 0.0)
         speed = [
             (inertia * self.speed[i] + TICK_S * (stiffness * (self.target[i] - self.reference[i]) + push[i])) / below
             for i in range(3)
@@ -258,6 +264,7 @@ class LightCell:
         row["command_seq"], row["client"] = self.command_seq, self.client
         row["program"], row["stop_reason"] = self.program, self.stop_reason
         row["robot_mode"], row["safety_mode"] = 7, 3 if self.program is Program.PROTECTIVE_STOP else 1
+        row["unzeroed"], row["joint_force"] = self.said, self.felt
         x, y, z = (now - then for now, then in zip(self.position, START, strict=True))
         u, v, w = self.velocity
         told = {

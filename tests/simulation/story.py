@@ -27,8 +27,8 @@ from tests.simulation.universe import RECIPE, Answer, Universe, configuration
 
 READY_S = 0.4
 """Time in which everything has started."""
-LYING_BOUND_N = 150.0
-"""Bound of the true force while the sensor lies: the arm's own protective stop."""
+APPROACH_M_S = 0.08
+"""Largest speed of a scripted move."""
 
 
 @dataclass(frozen=True)
@@ -100,12 +100,16 @@ def _tell(plan: Plan, state_dir: Path) -> Outcome:
 
 
 def force_bound_n(plan: Plan, universe: Universe) -> float:
-    """Bound of the true force: the ceiling, and what an approach adds before a stop takes hold."""
-    if plan.lie != "honest":
-        return LYING_BOUND_N
-    recipe, s = universe.config.recipes[RECIPE], plan.surroundings
+    """Bound of the true force: the ceiling, and what an approach adds before a stop takes hold.
+
+    A sensor that lies adds what the second witness lets pass, and the time that it takes.
+    """
+    s, config = plan.surroundings, universe.config
     lag_s = (s.delay_ticks + 2) * 2e-3 + SERVO_S
-    return universe.config.limits.force_ceiling_n + s.stiffness * recipe.approach_speed_m_s * lag_s
+    honest_n = config.limits.force_ceiling_n + s.stiffness * APPROACH_M_S * lag_s
+    if plan.lie == "honest":
+        return honest_n
+    return honest_n + config.witness.force_n + s.stiffness * APPROACH_M_S * config.witness.time_s
 
 
 class Story:
