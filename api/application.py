@@ -109,12 +109,15 @@ def create_app(config: CellConfig, path: Path) -> Protection:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
-        endpoint = [config.cell.endpoint]
+        cell_id, endpoint, certificates = config.cell.id, [config.cell.endpoint], config.certificates
         history = RunHistory(database)
         await history.open()
         control_process = ControlProcess(config, path)
         closing = asyncio.Event()
-        async with CellClient(config.cell.id, endpoint) as client, CellClient(config.cell.id, endpoint) as stopper:
+        async with (
+            CellClient(cell_id, endpoint, certificates=certificates) as client,
+            CellClient(cell_id, endpoint, certificates=certificates) as stopper,
+        ):
             cell = FollowedCell(client, stopper, history)
             app.state.runtime = Runtime(config, cell, control_process, closing)
 

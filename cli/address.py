@@ -15,6 +15,8 @@ from urllib.parse import urlsplit
 
 import typer
 
+from wire.tls import Certificates
+
 URL_VARIABLE = "DSL_ASSEMBLY_URL"
 DEFAULT_URL = "http://127.0.0.1:8000"
 PATH_VARIABLE = "DSL_ASSEMBLY_CONFIG"
@@ -55,11 +57,13 @@ class CellAddress:
         cell: id of the cell.
         endpoint: Zenoh endpoint of its control process.
         url: of its API.
+        certificates: of the configuration; None without any.
     """
 
     cell: str
     endpoint: str
     url: str
+    certificates: Certificates | None = None
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -75,7 +79,8 @@ class CellAddress:
             host = _ANY_ADDRESS.get(host, host)
             port = int(api.get("port", DEFAULT_PORT))
             url = f"http://{f'[{host}]' if ':' in host else host}:{port}"
-            return cls(str(cell["id"]), str(cell.get("endpoint", DEFAULT_ENDPOINT)), url)
+            endpoint = str(cell.get("endpoint", DEFAULT_ENDPOINT))
+            return cls(str(cell["id"]), endpoint, url, _certificates(_section(document, "tls"), path.parent))
         except OSError as error:
             raise AddressError(f"the configuration {path} cannot be read: {error.strerror}") from error
         except KeyError as error:
@@ -88,6 +93,14 @@ class CellAddress:
         given, own = urlsplit(url), urlsplit(self.url)
         hosts = {given.hostname, own.hostname}
         return given.port == own.port and (len(hosts) == 1 or hosts <= _LOOPBACK)
+
+
+def _certificates(tls: Mapping[str, Any], folder: Path) -> Certificates | None:
+    names = ("authority", "certificate", "key")
+    if not all(name in tls for name in names):
+        return None
+    authority, certificate, key = (folder / str(tls[name]) for name in names)
+    return Certificates(authority, certificate, key)
 
 
 def find_cell(path: Path | None) -> CellAddress | None:

@@ -217,7 +217,7 @@ def _past_the_api(
         return Answer(Way.DIRECT, status.cell, standing, f"{status.state}: {said}")
 
     async def wait_and_ask() -> None:
-        async with CellClient(cell.cell, [cell.endpoint]) as client:
+        async with CellClient(cell.cell, [cell.endpoint], certificates=cell.certificates) as client:
             async with asyncio.timeout(ALL_S):  # by then a stop that needs no second way has ended the command
                 while not send.is_set():
                     await asyncio.sleep(POLL_S)

@@ -51,6 +51,7 @@ from service.messages import (
 )
 from service.program import PROGRAM
 from wire.session import call_in_loop, close_session, open_session, query
+from wire.tls import Certificates
 
 SILENCE_S = 0.5
 """Age of the last heartbeat at which a cell counts as silent: ten heartbeats."""
@@ -90,6 +91,7 @@ class CellClient:
         time_of_day: seconds since the Unix epoch, for the `valid_until` of a start. It must agree with the cell's to
             within a few seconds.
         sender: name of this program in the cell's record; None: its process and host.
+        certificates: of this program, for a `tls/` or `quic/` endpoint.
     """
 
     def __init__(
@@ -99,8 +101,10 @@ class CellClient:
         clock: Callable[[], float] = time.monotonic,
         time_of_day: Callable[[], float] = time.time,
         sender: str | None = None,
+        certificates: Certificates | None = None,
     ) -> None:
         self._cell = cell
+        self._certificates = certificates
         self._sender = sender or f"process {os.getpid()} on {socket.gethostname()[:64]}"
         self._ticket: TicketResult | None = None
         self._number = 0
@@ -126,7 +130,7 @@ class CellClient:
 
     async def open(self) -> None:
         """Open the session and subscribe. The cell need not be running yet."""
-        session = await asyncio.to_thread(open_session, connect=self._connect)
+        session = await asyncio.to_thread(open_session, (), self._connect, self._certificates)
         self._session = session
         self._presence = asyncio.create_task(self._say_present(session), name=f"client of {self._cell}")
         self._subscribe(session, messages.STATUS, Status, self._on_status)

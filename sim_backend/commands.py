@@ -36,6 +36,7 @@ from wire.exits import Exit
 from wire.realtime import request_realtime
 from wire.session import open_session
 from wire.task import Part, Task
+from wire.tls import Access, Certificates, is_encrypted
 
 app = typer.Typer(
     add_completion=False,
@@ -44,6 +45,13 @@ app = typer.Typer(
     help="Serve a simulated cell, or an emulated UR controller, or draw it.",
 )
 _PARTS = ", ".join(get_args(Part))
+_Authority = Annotated[Path | None, typer.Option(help="PEM file of the authority, for tls/ endpoints.")]
+_Certificate = Annotated[Path | None, typer.Option(help="PEM file of this process's certificate.")]
+_Key = Annotated[Path | None, typer.Option(help="PEM file of its private key.")]
+_Commander = Annotated[
+    list[str] | None, typer.Option(help="Common name of a certificate that may command; may be repeated.")
+]
+_Reader = Annotated[list[str] | None, typer.Option(help="Common name that may read only; may be repeated.")]
 
 
 @app.command()
@@ -59,6 +67,11 @@ def serve(
     part: Annotated[str, typer.Option(help=f"Peg and hole of the first episode: {_PARTS}.")] = "tr",
     seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
     allow_remote: Annotated[bool, typer.Option(help="Allow endpoints outside this machine.")] = False,
+    authority: _Authority = None,
+    certificate: _Certificate = None,
+    key: _Key = None,
+    commander: _Commander = None,
+    reader: _Reader = None,
 ) -> None:
     """Serve a simulated cell over Zenoh until SIGINT or SIGTERM."""
     _exit_on_signals()
@@ -67,7 +80,8 @@ def serve(
         task = Task.from_json({"seed": seed, "part": part})
         # before Zenoh starts its threads: the loop sometimes waits for them, and ordinary priority would delay it
         refused = request_realtime() if mode is Pace.REAL_TIME else ()
-        session = _open_session(endpoints, connect or [], allow_remote=allow_remote)
+        security = _security(world, endpoints, (authority, certificate, key), commander or [], reader or [])
+        session = _open_session(endpoints, connect or [], security, allow_remote=allow_remote)
     except ValueError as error:
         _fail(str(error), Exit.USAGE)
     with session:
@@ -103,6 +117,11 @@ def ur_controller(
         Path | None, typer.Option(help="Folder of URScript files: NAME.script can be loaded as NAME.urp.")
     ] = None,
     allow_remote: Annotated[bool, typer.Option(help="Allow addresses outside this machine.")] = False,
+    authority: _Authority = None,
+    certificate: _Certificate = None,
+    key: _Key = None,
+    commander: _Commander = None,
+    reader: _Reader = None,
 ) -> None:
     """Serve an emulated e-Series controller of the simulated arm until SIGINT, SIGTERM or a client's shutdown."""
     _exit_on_signals()
@@ -113,7 +132,9 @@ def ur_controller(
             refused = request_realtime()  # before Zenoh starts its threads, as in `serve`
             session = None
             if listen or connect:
-                session = stack.enter_context(_open_session(listen or [], connect or [], allow_remote=allow_remote))
+                security = _security(world, listen or [], (authority, certificate, key), commander or [], reader or [])
+                opened = _open_session(listen or [], connect or [], security, allow_remote=allow_remote)
+                session = stack.enter_context(opened)
             plant = Plant(World(1, task.part))
             plant.lay_out(task)
             controller = make_controller(plant)
@@ -169,7 +190,30 @@ def render(
     typer.echo(f"wrote {out} ({width}x{height}, {camera})")
 
 
-def _open_session(listen: list[str], connect: list[str], *, allow_remote: bool) -> zenoh.Session:
+def _security(
+    world: str, listen: list[str], files: tuple[Path | None, ...], commanders: list[str], readers: list[str]
+) -> tuple[Certificates | None, Access | None]:
+    """Return the certificates, and the rights of the peers that connect to encrypted endpoints.
+
+    Raises:
+        EndpointError: an option is missing.
+    """
+    given = [file for file in files if file is not None]
+    encrypted = any(is_encrypted(endpoint) for endpoint in listen)
+    if encrypted and not (len(given) == len(files) and commanders):
+        raise EndpointError("a tls/ endpoint needs --authority, --certificate, --key and at least one --commander")
+    certificates = Certificates(*given) if len(given) == len(files) else None
+    access = Access(f"sim/{world}", ("info", "truth"), commanders, readers) if encrypted else None
+    return certificates, access
+
+
+def _open_session(
+    listen: list[str],
+    connect: list[str],
+    security: tuple[Certificates | None, Access | None],
+    *,
+    allow_remote: bool,
+) -> zenoh.Session:
     """Open a session whose endpoints stay on this machine unless `allow_remote`.
 
     Raises:
@@ -178,7 +222,7 @@ def _open_session(listen: list[str], connect: list[str], *, allow_remote: bool) 
     for endpoint in (*listen, *connect):
         check_endpoint(endpoint, allow_remote=allow_remote)
     try:
-        return open_session(listen, connect)
+        return open_session(listen, connect, *security)
     except EndpointInUseError as error:
         raise EndpointError(f"{error}: choose another --listen") from error
 

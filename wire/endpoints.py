@@ -7,6 +7,8 @@ DEFAULT_WORLD = "world-1"
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7448"
 """Endpoint of the simulated cell in `config/cell.toml`; `DEFAULT_WORLD` is its world."""
 
+_LOCAL = "unixsock-stream/"
+"""Beginning of the endpoints that are sockets in the file system of this machine."""
 _ENDPOINT = re.compile(r"(?P<protocol>tcp|udp|tls|quic|ws)/(?P<host>\[[^\]]+\]|[^:/\[\]]+):(?P<port>\d{1,5})([?#].*)?")
 
 
@@ -28,10 +30,17 @@ def check_endpoint(endpoint: str, *, allow_remote: bool) -> None:
     Raises:
         EndpointError: malformed, or not loopback while `allow_remote` is false.
     """
-    match = _ENDPOINT.fullmatch(endpoint)
-    if match is None or int(match["port"]) > 65535:
-        raise EndpointError(f"endpoint {endpoint!r} is not of the form tcp/127.0.0.1:7447")
-    check_host(match["host"].strip("[]"), allow_remote=allow_remote)
+    if endpoint.startswith(_LOCAL):
+        return
+    check_host(_host(endpoint), allow_remote=allow_remote)
+
+
+def is_local(endpoint: str) -> bool:
+    """Return whether an endpoint can be reached from this machine alone. A malformed one cannot be told to be."""
+    try:
+        return endpoint.startswith(_LOCAL) or _is_loopback(_host(endpoint))
+    except EndpointError:
+        return False
 
 
 def check_host(host: str, *, allow_remote: bool) -> None:
@@ -45,6 +54,13 @@ def check_host(host: str, *, allow_remote: bool) -> None:
             f"{host} is not on loopback: whoever reaches it can move the arm. "
             "Add --allow-remote if the network is trusted"
         )
+
+
+def _host(endpoint: str) -> str:
+    match = _ENDPOINT.fullmatch(endpoint)
+    if match is None or int(match["port"]) > 65535:
+        raise EndpointError(f"endpoint {endpoint!r} is not of the form tcp/127.0.0.1:7447")
+    return match["host"].strip("[]")
 
 
 def _is_loopback(host: str) -> bool:

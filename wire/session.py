@@ -8,13 +8,19 @@ from typing import Any
 import zenoh
 
 from wire.endpoints import EndpointError, EndpointInUseError
+from wire.tls import Access, Certificates
 
 
 class QueryRefusedError(Exception):
     """The other side answered with an error; the text is the other side's."""
 
 
-def open_session(listen: Sequence[str] = (), connect: Sequence[str] = ()) -> zenoh.Session:
+def open_session(
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    certificates: Certificates | None = None,
+    access: Access | None = None,
+) -> zenoh.Session:
     """Open a session in peer mode on exactly these endpoints; the caller closes it.
 
     A failed connection is retried in the background, so a peer may start later.
@@ -22,6 +28,8 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = ()) -> zen
     Args:
         listen: endpoints to accept peers at, such as `tcp/127.0.0.1:7447`.
         connect: endpoints of peers or routers to join.
+        certificates: of this process, for `tls/` and `quic/` endpoints.
+        access: rights of the peers that connect; None grants everything to everyone who connects.
 
     Raises:
         EndpointInUseError: another process listens at an endpoint.
@@ -41,6 +49,8 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = ()) -> zen
         "transport/link/tx/queue/batching/enabled": False,
         "transport/shared_memory/enabled": False,  # a killed process would leave segments behind
     }
+    for part in (certificates, access):
+        settings |= {} if part is None else part.settings()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     try:

@@ -23,6 +23,7 @@ from service.messages import CellState, EventKind
 from service.notify import Notifier
 from wire.realtime import freeze_garbage, request_realtime
 from wire.session import close_session, open_session
+from wire.tls import Access, is_encrypted
 
 WATCHDOG_LOST = "the watchdog has ended: a loop that hangs is stopped by the arm alone; restart the control process"
 
@@ -129,7 +130,9 @@ async def _run(config: CellConfig, driver: Driver, brake: Sequence[str]) -> None
     for line in cell.degradations:
         _log.warning("degraded", what=line)
     try:
-        session = await asyncio.to_thread(open_session, listen=[config.cell.endpoint])
+        session = await asyncio.to_thread(
+            open_session, [config.cell.endpoint], (), config.certificates, _access(config)
+        )
     except BaseException:
         await cell.close()
         raise
@@ -148,3 +151,11 @@ async def _run(config: CellConfig, driver: Driver, brake: Sequence[str]) -> None
                 await status
     finally:
         await asyncio.to_thread(close_session, session)
+
+
+def _access(config: CellConfig) -> Access | None:
+    """Return the rights of the cell's clients; None where the link tells no names."""
+    tls = config.tls
+    if tls is None or not is_encrypted(config.cell.endpoint):
+        return None
+    return Access(f"cell/{config.cell.id}", ("query/*",), tls.commanders, tls.readers)

@@ -12,6 +12,7 @@ from service.config import CellConfig
 from service.drivers.sim_process import Simulator, simulator
 from service.logs import take_over_stderr
 from wire.exits import Exit
+from wire.tls import is_encrypted
 
 
 def control(config: ConfigPath = None) -> None:
@@ -37,7 +38,7 @@ def _world(cell: CellConfig) -> AbstractContextManager[Simulator]:
 def _simulator_of(cell: CellConfig) -> tuple[Sequence[str], Sequence[str]] | None:
     """Return the simulator's arguments and the endpoints at which it listens; None for a real arm."""
     sim = cell.sim
-    world = ("--world", sim.world, "--listen", sim.endpoint)
+    world = ("--world", sim.world, "--listen", sim.endpoint, *_security(cell))
     match cell.cell.driver:
         case "zenoh_sim":
             return ("sim", "serve", "--mode", sim.mode.replace("_", "-"), *world), (sim.endpoint,)
@@ -48,6 +49,16 @@ def _simulator_of(cell: CellConfig) -> tuple[Sequence[str], Sequence[str]] | Non
             return ("sim", "ur-controller", "--host", ur.host, *world), (f"tcp/{ur.host}:{ur.rtde_port}", sim.endpoint)
         case _ as never:
             assert_never(never)
+
+
+def _security(cell: CellConfig) -> Sequence[str]:
+    """Return the simulator's options for an encrypted endpoint."""
+    tls = cell.tls
+    if tls is None or not is_encrypted(cell.sim.endpoint):
+        return ()
+    files = ("--authority", str(tls.authority), "--certificate", str(tls.certificate), "--key", str(tls.key))
+    names = (("--commander", tls.commanders), ("--reader", tls.readers))
+    return (*files, *(word for option, values in names for value in values for word in (option, value)))
 
 
 def _run(cell: CellConfig, world: Simulator) -> None:

@@ -20,7 +20,9 @@ def make_driver(cell: CellConfig) -> Driver:
     """Make the driver that the configuration names; it opens nothing until it is connected."""
     match cell.cell.driver:
         case "zenoh_sim":
-            return ZenohSimDriver(cell.sim.world, [cell.sim.endpoint], cell.sim.mode, cell=cell.cell.id)
+            return ZenohSimDriver(
+                cell.sim.world, [cell.sim.endpoint], cell.sim.mode, cell=cell.cell.id, certificates=cell.certificates
+            )
         case "ur":
             return _make_ur_driver(cell)
         case _ as never:
@@ -28,10 +30,12 @@ def make_driver(cell: CellConfig) -> Driver:
 
 
 def _make_ur_driver(cell: CellConfig) -> UrDriver:
-    sim, view = cell.sim, cell.camera
-    camera = None if view is None else ZenohCamera(view.endpoint, view.key, view.max_age_s, time.monotonic)
+    sim, view, certificates = cell.sim, cell.camera, cell.certificates
+    camera = (
+        None if view is None else ZenohCamera(view.endpoint, view.key, view.max_age_s, time.monotonic, certificates)
+    )
     simulated = ur_section(cell).simulated
-    world_setup = ZenohWorldSetup(sim.world, [sim.endpoint], cell.cell.id) if simulated else None
+    world_setup = ZenohWorldSetup(sim.world, [sim.endpoint], cell.cell.id, certificates) if simulated else None
     try:
         return UrDriver(cell, camera=camera, world_setup=world_setup)
     except ProgramError as error:

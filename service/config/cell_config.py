@@ -13,10 +13,20 @@ from service.config.checks import (
     within_preflight,
     without_robot,
 )
+from service.config.exposure import unprotected
 from service.config.fields import Name
 from service.config.limits import LimitsSection, PreflightSection, WitnessSection
-from service.config.sections import ApiSection, CameraSection, CellSection, ClientLossSection, RecipeSection, SimSection
+from service.config.sections import (
+    ApiSection,
+    CameraSection,
+    CellSection,
+    ClientLossSection,
+    RecipeSection,
+    SimSection,
+    TlsSection,
+)
 from service.config.ur import UrSection
+from wire.tls import Certificates
 
 
 class CellConfig(BaseSettings):
@@ -33,6 +43,7 @@ class CellConfig(BaseSettings):
     sim: SimSection = SimSection()
     ur: UrSection | None = None
     camera: CameraSection | None = None
+    tls: TlsSection | None = None
     api: ApiSection = ApiSection()
     client_loss: ClientLossSection = ClientLossSection()
     recipes: Annotated[dict[Name, RecipeSection], Field(min_length=1)]
@@ -46,10 +57,17 @@ class CellConfig(BaseSettings):
             *recipes_beyond_limits(self.recipes, self.limits),
             *without_robot(self.cell, self.ur),
             *(() if self.ur is None else beyond_arm(self.ur, self.recipes, self.limits)),
+            *unprotected(self.cell, self.sim, self.camera, self.tls),
         )
         if contradictions:
             raise ValueError("; ".join(contradictions))
         return self
+
+    @property
+    def certificates(self) -> Certificates | None:
+        """Certificates of this process; None without `[tls]`."""
+        tls = self.tls
+        return None if tls is None else Certificates(tls.authority, tls.certificate, tls.key)
 
     @property
     def sees_hole(self) -> bool:

@@ -58,6 +58,7 @@ Box = Annotated[tuple[Position, Position], AfterValidator(_check_box)]
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 Host = Annotated[str, AfterValidator(_check_host)]
 Port = Annotated[int, count(1, 65535, "ports of TCP")]
+CommonName = Annotated[str, Field(min_length=1, max_length=64)]
 Endpoint = Annotated[str, Field(pattern=r"^(tcp|tls|quic|unixsock-stream)/\S+$")]
 
 

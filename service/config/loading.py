@@ -85,4 +85,8 @@ def _with_absolute_paths(config: CellConfig, base: Path) -> CellConfig:
         name: recipe.model_copy(update={"policy": (base / recipe.policy).resolve()})
         for name, recipe in config.recipes.items()
     }
-    return config.model_copy(update={"cell": cell, "recipes": recipes})
+    tls = config.tls
+    if tls is not None:
+        files = {name: (base / getattr(tls, name)).resolve() for name in ("authority", "certificate", "key")}
+        tls = tls.model_copy(update=files)
+    return config.model_copy(update={"cell": cell, "recipes": recipes, "tls": tls})

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from service.config.fields import Endpoint, Force, Host, Name, Port, Position, Section, Turn, count, number
+from service.config.fields import CommonName, Endpoint, Force, Host, Name, Port, Position, Section, Turn, count, number
 from wire.endpoints import DEFAULT_ENDPOINT, DEFAULT_WORLD
 from wire.impact import IMPACT_SHARE
 from wire.limits import FORCE_HARD_MAXIMUM_N
@@ -105,6 +105,24 @@ class CameraSection(Section):
     endpoint: Endpoint
     key: Annotated[str, Field(min_length=1, pattern=r"^[^*$#?\s]+$")]
     max_age_s: Annotated[float, number(0.01, 5.0, "no camera is that fast; the hole may have moved")] = 0.2
+
+
+class TlsSection(Section):
+    """Certificates for `tls/` and `quic/` endpoints; `docs/reference/wire-security.md` says how to make them.
+
+    Attributes:
+        authority: PEM file of the authority that signed the certificates of all processes.
+        certificate: PEM file of this process's certificate.
+        key: PEM file of its private key.
+        commanders: common names of the certificates that may command: start, stop, reset, claim the simulator.
+        readers: common names that may read the state and no more.
+    """
+
+    authority: Path
+    certificate: Path
+    key: Path
+    commanders: Annotated[tuple[CommonName, ...], Field(min_length=1)]
+    readers: tuple[CommonName, ...] = ()
 
 
 class ApiSection(Section):

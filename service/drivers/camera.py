@@ -13,6 +13,7 @@ import zenoh
 from wire import records
 from wire.arrays import FloatArray
 from wire.session import close_session, open_session
+from wire.tls import Certificates
 
 _log = structlog.get_logger("service.drivers")
 
@@ -58,9 +59,18 @@ class ZenohCamera:
         key: key under which it publishes.
         max_age_s: largest age of an estimate, s; an older one counts as none.
         clock: monotonic clock of the host, s.
+        certificates: of this process, for a `tls/` or `quic/` endpoint.
     """
 
-    def __init__(self, endpoint: str, key: str, max_age_s: float, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        endpoint: str,
+        key: str,
+        max_age_s: float,
+        clock: Callable[[], float],
+        certificates: Certificates | None = None,
+    ) -> None:
+        self._certificates = certificates
         self._endpoint = endpoint
         self._key = key
         self._max_age_s = max_age_s
@@ -78,7 +88,7 @@ class ZenohCamera:
 
     async def open(self) -> None:
         if self._session is None:
-            self._session = await asyncio.to_thread(open_session, connect=[self._endpoint])
+            self._session = await asyncio.to_thread(open_session, (), [self._endpoint], self._certificates)
             self._session.declare_subscriber(self._key, self._receive)
 
     def estimate(self, now: float) -> FloatArray | None:

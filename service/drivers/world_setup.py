@@ -16,6 +16,7 @@ from service.faults import FaultCode
 from wire import keys, records
 from wire.session import QueryRefusedError, close_session, open_session, query
 from wire.task import Task
+from wire.tls import Certificates
 
 LAY_OUT_S = 30.0
 """Host time for a simulator to lay out, and perhaps to compile, a world, s."""
@@ -71,9 +72,13 @@ class ZenohWorldSetup:
         world: name of the world in its keys.
         connect: endpoints of its server.
         cell: id of the cell that claims the world; empty for a program without one.
+        certificates: of this process, for a `tls/` or `quic/` endpoint.
     """
 
-    def __init__(self, world: str, connect: Sequence[str], cell: str = "") -> None:
+    def __init__(
+        self, world: str, connect: Sequence[str], cell: str = "", certificates: Certificates | None = None
+    ) -> None:
+        self._certificates = certificates
         self._name = f"simulated world sim/{world} at {', '.join(connect)}"
         self._connect = tuple(connect)
         self._session: zenoh.Session | None = None
@@ -82,7 +87,7 @@ class ZenohWorldSetup:
 
     async def open(self) -> None:
         if self._session is None:
-            self._session = await asyncio.to_thread(open_session, connect=self._connect)
+            self._session = await asyncio.to_thread(open_session, (), self._connect, self._certificates)
         await self._claim(self._session)
         if self._holding is None or self._holding.done():
             self._holding = asyncio.create_task(self._keep_hold(self._session), name="hold")

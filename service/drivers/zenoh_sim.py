@@ -21,6 +21,7 @@ from wire.law import ComplianceLaw, ControlLimits
 from wire.modes import TimeMode
 from wire.session import QueryRefusedError, call_in_loop, close_session, open_session, query
 from wire.task import Task
+from wire.tls import Certificates
 
 QUERY_TIMEOUT_S = 2.0
 """Host time for an answer for which the simulator computes at most one tick, s."""
@@ -39,6 +40,7 @@ class ZenohSimDriver:
         mode: time mode. In `real_time` the world's time passes by itself; in `lockstep` this driver advances it.
         clock: monotonic clock for arrivals in real time, s.
         cell: id of the cell that claims the world; empty for a program without one.
+        certificates: of this process, for a `tls/` or `quic/` endpoint.
     """
 
     simulated = True
@@ -51,7 +53,9 @@ class ZenohSimDriver:
         mode: TimeMode,
         clock: Callable[[], float] = time.monotonic,
         cell: str = "",
+        certificates: Certificates | None = None,
     ) -> None:
+        self._certificates = certificates
         self.mode: TimeMode = mode
         self.name = f"simulated cell sim/{world} at {', '.join(connect)}"
         self._world = world
@@ -87,7 +91,7 @@ class ZenohSimDriver:
         self._sink = sink
         self._loop = asyncio.get_running_loop()
         if self._session is None:
-            self._session = await asyncio.to_thread(open_session, connect=self._connect)
+            self._session = await asyncio.to_thread(open_session, (), self._connect, self._certificates)
         info = await self._ask_info(self._session)
         await self._hold.claim(self._session)
         self._commands.epoch, self._commands.client = int(info["epoch"]), self._hold.word

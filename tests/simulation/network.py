@@ -120,7 +120,7 @@ class Network:
                 at_s = link.last_s = max(at_s, link.last_s)
             loop.call_at(at_s, deliver, *args, context=place.context.copy())
 
-    def open(self, listen: Sequence[str] = (), connect: Sequence[str] = (), **_: Any) -> "Session":
+    def open(self, listen: Sequence[str] = (), connect: Sequence[str] = (), *_: Any, **__: Any) -> "Session":
         """Stand in for `wire.session.open_session`."""
         process = clock.here().process
         session = Session(self, process, frozenset((*listen, *connect)))

@@ -1,6 +1,7 @@
 """Endpoints of a simulated cell: loopback unless allowed, and a clear word for what cannot be."""
 
 import socket
+import time
 
 import pytest
 
@@ -9,7 +10,15 @@ from wire.session import open_session
 
 
 @pytest.mark.parametrize(
-    "endpoint", ["tcp/127.0.0.1:7447", "tcp/localhost:7447", "tcp/[::1]:7447", "udp/127.8.0.1:1", "tcp/127.0.0.1:0"]
+    "endpoint",
+    [
+        "tcp/127.0.0.1:7447",
+        "tcp/localhost:7447",
+        "tcp/[::1]:7447",
+        "udp/127.8.0.1:1",
+        "tcp/127.0.0.1:0",
+        "unixsock-stream//run/a",
+    ],
 )
 def test_loopback_is_accepted(endpoint: str) -> None:
     check_endpoint(endpoint, allow_remote=False)
@@ -44,3 +53,9 @@ def test_a_session_is_open_until_left(free_endpoint: str) -> None:
     with open_session([free_endpoint]) as session:
         assert not session.is_closed()
     assert session.is_closed()
+
+
+def test_sessions_that_were_told_of_no_other_find_none() -> None:
+    with open_session() as first, open_session() as second:
+        time.sleep(1.0)  # multicast scouting finds a peer within a tenth of this
+        assert list(first.info.peers_zid()) == list(second.info.peers_zid()) == []

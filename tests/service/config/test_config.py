@@ -153,10 +153,40 @@ def test_a_recipe_or_cell_whose_name_cannot_stand_in_a_key_is_refused(tmp_path: 
 
 def test_the_schema_names_every_section() -> None:
     schema = CellConfig.model_json_schema()
-    sections = {"cell", "limits", "preflight", "witness", "sim", "ur", "camera", "api", "client_loss", "recipes"}
+    sections = {"cell", "limits", "preflight", "witness", "sim", "ur", "camera", "tls", "api", "client_loss", "recipes"}
     assert set(schema["properties"]) == sections
     assert schema["additionalProperties"] is False
 
 
 def test_a_recipe_may_ask_for_every_set_of_conditions_that_a_world_has() -> None:
     assert get_args(RecipeSection.model_fields["conditions"].annotation) == get_args(Conditions)
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "named"),
+    [
+        ("tcp/0.0.0.0:7447", "whoever reaches it commands the cell"),
+        ("tcp/192.168.7.2:7447", "whoever reaches it commands the cell"),
+        ("tls/192.168.7.2:7447", r"so the section \[tls\] must name the certificates"),
+        ("tls/127.0.0.1:7447", r"so the section \[tls\] must name the certificates"),
+    ],
+)
+def test_70_a_control_process_that_strangers_could_command_does_not_boot(
+    tmp_path: Path, endpoint: str, named: str
+) -> None:
+    with pytest.raises(ConfigError, match=named):
+        load(written(tmp_path, "tcp/127.0.0.1:7447", endpoint))
+
+
+def test_a_socket_in_the_file_system_is_on_this_machine(tmp_path: Path) -> None:
+    endpoint = "unixsock-stream//run/cell/control"
+    assert load(written(tmp_path, "tcp/127.0.0.1:7447", endpoint)).cell.endpoint == endpoint
+
+
+def test_certificates_are_relative_to_the_file(tmp_path: Path) -> None:
+    path = written(tmp_path, "tcp/127.0.0.1:7447", "tls/192.168.7.2:7447")
+    with path.open("a") as file:
+        file.write('\n[tls]\nauthority = "a.pem"\ncertificate = "b.pem"\nkey = "c.key"\ncommanders = ["cell-1"]\n')
+    certificates = load(path).certificates
+    assert certificates is not None
+    assert (certificates.authority, certificates.key) == (tmp_path / "a.pem", tmp_path / "c.key")

@@ -139,7 +139,7 @@ def impostor() -> AsyncIterator[tuple[str, zenoh.Session]]:
     """A session that answers `info` and claims like a simulator; the test publishes through it."""
     endpoint = free_endpoint()
     session = open_session(listen=[endpoint])
-    info = b'{"version": 1, "mode": "real-time", "epoch": 5, "tick_s": 0.002, "part": "tr"}'
+    info = b'{"version": %d, "mode": "real-time", "epoch": 5, "tick_s": 0.002, "part": "tr"}' % records.VERSION
 
     def answer(query: zenoh.Query) -> None:
         with query:
@@ -197,7 +197,7 @@ async def test_an_answer_to_info_that_cannot_be_read_is_refused() -> None:
 
 async def test_22_two_worlds_of_one_name_are_refused() -> None:
     endpoint = free_endpoint()
-    info = b'{"version": 1, "mode": "real-time", "epoch": 5}'
+    info = b'{"version": %d, "mode": "real-time", "epoch": 5}' % records.VERSION
     first, second = open_session(listen=[endpoint]), open_session(connect=[endpoint])
 
     def answer(query: zenoh.Query) -> None:
