@@ -1,6 +1,7 @@
 """What happens in a universe: people's requests and the faults, all drawn from its seed."""
 
 import random
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -48,8 +49,11 @@ class Plan:
         self.happenings.append(Happening(max(0.0, at_s), kind, details))
 
 
-def draw(seed: int) -> Plan:
-    """Draw a universe's story."""
+Story = Callable[[Plan, random.Random], None]
+
+
+def drawn(seed: int, story: Story | None = None) -> Plan:
+    """Draw a universe; `story` names its kind, where chance does not choose it."""
     chance = random.Random(seed)
     plan = Plan(seed, Surroundings())
     s = plan.surroundings
@@ -61,8 +65,7 @@ def draw(seed: int) -> Plan:
         0.08 + chance.uniform(-0.005, 0.005),
     )
     s.camera_m = tuple(chance.gauss(0.0, 4e-4) for _ in range(3))  # type: ignore[assignment]
-    story = chance.choice(STORIES)
-    story(plan, chance)
+    (story or chance.choice(STORIES))(plan, chance)
     plan.happenings.sort(key=lambda one: one.at_s)
     return plan
 
@@ -237,7 +240,36 @@ def idle(plan: Plan, chance: random.Random) -> None:
     _look(plan, chance)
 
 
-STORIES = (
+def moved_files(plan: Plan, chance: random.Random) -> None:
+    """Somebody moves the ledger or deletes the state, before, in or after a run."""
+    start_s = _run(plan, chance)
+    kind = chance.choice(("ledger moved", "state deleted"))
+    plan.add(start_s + chance.uniform(-0.1, 2.5), kind)
+    if chance.random() < 0.5:
+        plan.add(start_s + chance.uniform(0.5, 2.5), "kill", part="control", again_s=0.1)
+    _afterwards(plan, chance, start_s + 1.0)
+
+
+def clock_set(plan: Plan, chance: random.Random) -> None:
+    """Two runs, and between them somebody sets the clock."""
+    start_s = _run(plan, chance)
+    _stop(plan, start_s + 0.5)
+    _clock(plan, chance, start_s + 0.8)
+    _reset(plan, start_s + 1.2)
+    _run(plan, chance, start_s + 1.6)
+
+
+def killed_while_latched(plan: Plan, chance: random.Random) -> None:
+    """A stop latches, and then the control process or the whole host dies."""
+    start_s = _run(plan, chance)
+    stop_s = start_s + chance.uniform(0.3, 1.5)
+    _stop(plan, stop_s)
+    kind = chance.choice(("kill", "power cut"))
+    plan.add(stop_s + chance.uniform(0.2, 1.0), kind, part="control", again_s=0.1)
+    _look(plan, chance)
+
+
+STORIES: tuple[Story, ...] = (
     plain,
     stop_beside_start,
     stop_beside_start,
@@ -247,4 +279,7 @@ STORIES = (
     lying_sensor,
     wrong_camera,
     idle,
+    moved_files,
+    clock_set,
+    killed_while_latched,
 )

@@ -5,8 +5,7 @@ import hashlib
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +20,7 @@ from tests.service.policy.model_files import linear_model
 from tests.simulation.judge import Judge
 from tests.simulation.lies import LIES
 from tests.simulation.network import Link
-from tests.simulation.plan import LENGTH_S, Happening, Plan, draw
+from tests.simulation.plan import LENGTH_S, Happening, Plan, drawn
 from tests.simulation.plant import SERVO_S, LightCell
 from tests.simulation.universe import RECIPE, Answer, Universe, configuration
 
@@ -72,7 +71,7 @@ def policy(name: str) -> Path:
 
 def tell(seed: int, plan: Plan | None = None) -> Outcome:
     """Live through one seed."""
-    plan = plan or draw(seed)
+    plan = plan or drawn(seed)
     state_dir = Path(tempfile.mkdtemp(prefix=f"{seed}-", dir=_folder())) / "state"
     state_dir.mkdir()
     try:
@@ -272,16 +271,3 @@ class Story:
             if self._judge.is_told(listed):
                 break
         self._judge.on_end(listed)
-
-
-@contextmanager
-def mend_taken_out(changes: list[tuple[Any, str, Any]]) -> Iterator[None]:
-    """Put a fault back for a while: replace attributes of the code."""
-    originals = [(owner, name, getattr(owner, name)) for owner, name, _ in changes]
-    for owner, name, value in changes:
-        setattr(owner, name, value)
-    try:
-        yield
-    finally:
-        for owner, name, value in originals:
-            setattr(owner, name, value)
