@@ -20,6 +20,7 @@ from api.control_process import JOIN_S, ControlProcess
 from api.history import RunHistory
 from api.models import Frame
 from api.protection import Protection, is_loopback
+from api.receipt import Receipts
 from api.routes import commands, page, runs, state, streams
 from api.runtime import Runtime
 from api.version import VERSION
@@ -58,6 +59,7 @@ def build_routes(lifespan: Callable[[FastAPI], Any] | None = None) -> FastAPI:
         lifespan=lifespan,
     )
     problems.install(app)
+    app.add_middleware(Receipts)
     _complete_openapi(app)
     for module in (commands, state, runs, streams, page):
         app.include_router(module.router, responses=problems.described(403, 421))

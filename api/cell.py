@@ -9,13 +9,21 @@ from pydantic import ValidationError
 
 from api.feed import EventFeed
 from api.history import HistoryError, RunHistory
-from service.client import SILENCE_S, CellClient, CellError
+from api.receipt import Receipt
+from service.client import SILENCE_S, CellClient, CellError, CellRefusedError
+from service.faults import FaultCode
 from service.messages import CellState, Event, EventKind, Run, RunsRequest, RunState, Status
 
 _log = structlog.get_logger("api.cell")
 
 WATCH_S = 0.1
 LEDGER_PAGE = 200
+TURN_S = 0.02
+FROZEN_S = 0.2
+"""Lateness of the event loop at which requests may have waited unread, s."""
+DOUBT_S = 0.2
+"""Time after such a freeze in which they are read, s."""
+UNKNOWN_TEXT = "the cell's ledger does not have this run any more: how it ended is not known"
 
 
 class FollowedCell:
@@ -26,6 +34,11 @@ class FollowedCell:
         stopper: client for stops. It has a session of its own, so that a stop queues behind nothing.
         history: history that runs are recorded in.
         clock: monotonic clock, s.
+
+    Attributes:
+        feed: events of the cell.
+        failure: why events and history are not followed any more; None while they are.
+        stops_asked: stops that this server was asked for, delivered or not.
     """
 
     def __init__(
@@ -39,8 +52,12 @@ class FollowedCell:
         self.stopper = stopper
         self.history = history
         self.feed = EventFeed()
+        history.on_renewed = lambda: self._reconcile.set()
         self.failure: str | None = None
+        self.stops_asked = 0
         self._clock = clock
+        self._turned_at, self._turned_mark = clock(), client.mark
+        self._doubted_until, self._doubted_mark = clock(), client.mark
         self._last_state = CellState.UNKNOWN
         self._reconcile = asyncio.Event()
 
@@ -59,11 +76,26 @@ class FollowedCell:
                 tasks.create_task(self._follow_statuses())
                 tasks.create_task(self._follow_events(tasks))
                 tasks.create_task(self._watch_state())
+                tasks.create_task(self._watch_loop())
                 tasks.create_task(self._reconcile_forever())
                 tasks.create_task(self.history.write_forever())
         except ExceptionGroup as error:
             self.failure = f"events and history are no longer followed: {error.exceptions[0]!r}; restart this server"
             raise
+
+    def receive(self) -> Receipt:
+        """Return the place in the order of stops of a request that is read now.
+
+        A request that is read after a freeze of this server may be as old as the freeze. It gets the place from before.
+        """
+        now = self._clock()
+        if now - self._turned_at > FROZEN_S:
+            mark = self._turned_mark
+        elif now < self._doubted_until:
+            mark = self._doubted_mark
+        else:
+            mark = self.client.mark
+        return Receipt(mark, self.stops_asked)
 
     async def wait_alive(self, timeout_s: float) -> bool:
         """Wait up to `timeout_s` for a heartbeat; return whether one arrived."""
@@ -120,6 +152,14 @@ class FollowedCell:
             silent = self.is_silent
             self._note_state(self.client.state)
 
+    async def _watch_loop(self) -> None:
+        while True:
+            self._turned_at, self._turned_mark = self._clock(), self.client.mark
+            await asyncio.sleep(TURN_S)
+            now = self._clock()
+            if now - self._turned_at > FROZEN_S:
+                self._doubted_until, self._doubted_mark = now + DOUBT_S, self._turned_mark
+
     def _note_state(self, state: CellState) -> None:
         if state is not self._last_state:
             _log.info("state", state=state.value, before=self._last_state.value)
@@ -139,6 +179,19 @@ class FollowedCell:
                 self._reconcile.set()
 
     async def _read_ledger(self) -> None:
+        await self._read_pages()
+        for run in await self.history.active():
+            await self.history.record([await self._as_it_ended(run)])
+
+    async def _as_it_ended(self, run: Run) -> Run:
+        """Return a run that the history takes for active as the ledger has it."""
+        try:
+            return await self.client.run(run.id)
+        except CellRefusedError:
+            changes = {"state": RunState.INTERRUPTED, "code": FaultCode.INTERRUPTED, "text": UNKNOWN_TEXT}
+            return run.model_copy(update=changes)
+
+    async def _read_pages(self) -> None:
         before: str | None = None
         seen: set[str] = set()
         while True:

@@ -5,16 +5,17 @@ refused with that reason. Stop and status still work.
 """
 
 import asyncio
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
 import structlog
-from sqlalchemy import JSON, URL, Index, String, event, make_url, or_, select
+from sqlalchemy import JSON, URL, Connection, Index, String, event, inspect, make_url, select, tuple_
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.ext.asyncio import AsyncEngine, AsyncSession, async_sessionmaker, create_async_engine
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.pool import NullPool
 
 from service.messages import Run, RunState
 
@@ -32,9 +33,10 @@ class RunRow(Base):
     """One run: the columns for queries, and the whole document as received from the control process."""
 
     __tablename__ = "runs"
-    __table_args__ = (Index("runs_newest_first", "requested_at", "id"),)
+    __table_args__ = (Index("runs_in_order", "seq", "requested_at", "id"),)
 
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    seq: Mapped[int] = mapped_column(server_default="0")
     requested_at: Mapped[float]
     recipe: Mapped[str] = mapped_column(String(64))
     state: Mapped[str] = mapped_column(String(16))
@@ -59,7 +61,10 @@ class RunHistory:
     def __init__(self, url: str) -> None:
         parsed = self.check_url(url)
         self._path = Path(str(parsed.database))
-        self._engine: AsyncEngine = create_async_engine(parsed, connect_args={"timeout": BUSY_TIMEOUT_S})
+        # No connection is kept: one that is open would go on with a file that was moved away
+        self._engine: AsyncEngine = create_async_engine(
+            parsed, connect_args={"timeout": BUSY_TIMEOUT_S}, poolclass=NullPool
+        )
         event.listen(self._engine.sync_engine, "connect", _use_wal)
         self._sessions = async_sessionmaker(self._engine, expire_on_commit=False)
         self._pending: dict[str, Run] = {}
@@ -68,6 +73,8 @@ class RunHistory:
         self._writing = asyncio.Lock()
         self._probing: asyncio.Task[None] | None = None
         self._opened = False
+        self._identity: tuple[int, int] | None = None
+        self.on_renewed: Callable[[], object] = lambda: None
         self.problem: str | None = None
 
     @staticmethod
@@ -88,6 +95,8 @@ class RunHistory:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             async with self._engine.begin() as connection:
                 await connection.run_sync(Base.metadata.create_all)
+                await connection.run_sync(_number_runs)
+            self._identity = self._present_identity()
         except (OSError, SQLAlchemyError) as error:
             self._note_failure(error)
         else:
@@ -111,6 +120,7 @@ class RunHistory:
             raise HistoryError(self.problem)
 
     async def _probe(self) -> None:
+        await self._renew_if_moved()
         if not self._opened:
             await self.open()
         if not self._opened:
@@ -123,6 +133,21 @@ class RunHistory:
             self._note_failure(error)
         else:
             self.problem = None
+
+    async def _renew_if_moved(self) -> None:
+        """Make the database anew where the file at the path is not the one that was opened."""
+        if self._opened and await asyncio.to_thread(self._present_identity) != self._identity:
+            _log.warning("history", problem=f"{self._path} was moved or deleted; it is made anew from the ledger")
+            self._opened = False
+            await self.open()
+            self.on_renewed()
+
+    def _present_identity(self) -> tuple[int, int] | None:
+        try:
+            found = self._path.stat()
+        except OSError:
+            return None
+        return found.st_dev, found.st_ino
 
     def put(self, run: Run) -> None:
         """Queue a new or changed run for `write_forever`; return at once."""
@@ -146,6 +171,7 @@ class RunHistory:
         Raises:
             HistoryError: the database does not accept them; they stay queued.
         """
+        await self._renew_if_moved()
         if not self._opened:
             await self.open()
         runs = list(self._pending.values())
@@ -176,23 +202,31 @@ class RunHistory:
     async def newest(self, limit: int, before: str | None = None) -> list[Run]:
         """Return up to `limit` runs, newest first; if `before` is given, only runs older than that run.
 
+        The order is the ledger's. Runs that were recorded before the ledger gave numbers follow by time of day.
+
         Raises:
             HistoryError: the database cannot be read.
             KeyError: there is no run `before`.
         """
-        statement = select(RunRow).order_by(RunRow.requested_at.desc(), RunRow.id.desc()).limit(limit)
+        place = RunRow.seq, RunRow.requested_at, RunRow.id
+        statement = select(RunRow).order_by(*(column.desc() for column in place)).limit(limit)
         async with self._reading() as session:
             if before is not None:
                 edge = await session.get(RunRow, before)
                 if edge is None:
                     raise KeyError(before)
-                statement = statement.where(
-                    or_(
-                        RunRow.requested_at < edge.requested_at,
-                        (RunRow.requested_at == edge.requested_at) & (RunRow.id < edge.id),
-                    )
-                )
+                statement = statement.where(tuple_(*place) < tuple_(edge.seq, edge.requested_at, edge.id))
             rows = (await session.scalars(statement)).all()
+        return [Run.model_validate(row.document) for row in rows]
+
+    async def active(self) -> list[Run]:
+        """Return the runs without an end.
+
+        Raises:
+            HistoryError: the database cannot be read.
+        """
+        async with self._reading() as session:
+            rows = (await session.scalars(select(RunRow).where(RunRow.state == RunState.ACTIVE.value))).all()
         return [Run.model_validate(row.document) for row in rows]
 
     async def find(self, run_id: str) -> Run | None:
@@ -228,12 +262,20 @@ class RunHistory:
 def _row(run: Run) -> RunRow:
     return RunRow(
         id=run.id,
+        seq=run.seq,
         requested_at=run.requested_at,
         recipe=run.recipe,
         state=run.state.value,
         code=run.code.value if run.code else None,
         document=run.model_dump(mode="json"),
     )
+
+
+def _number_runs(connection: Connection) -> None:
+    """Bring the table of an older version up to date."""
+    if "seq" not in {column["name"] for column in inspect(connection).get_columns(RunRow.__tablename__)}:
+        connection.exec_driver_sql("ALTER TABLE runs ADD COLUMN seq INTEGER NOT NULL DEFAULT 0")
+        connection.exec_driver_sql("CREATE INDEX runs_in_order ON runs (seq, requested_at, id)")
 
 
 def _use_wal(connection: Any, _record: Any) -> None:

@@ -28,6 +28,7 @@ STATUS_OF_REASON: dict[RefusalReason, int] = {
     RefusalReason.UNKNOWN_RECIPE: 422,
     RefusalReason.UNKNOWN_RUN: 404,
     RefusalReason.EXPIRED: 503,
+    RefusalReason.STOPPED: 409,
     RefusalReason.WRONG_STATE: 409,
     RefusalReason.LATCHED: 409,
     RefusalReason.NOT_LATCHED: 409,

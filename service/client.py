@@ -46,6 +46,7 @@ from service.messages import (
     RunsRequest,
     StartRequest,
     Status,
+    StopMark,
     StopRequest,
     Telemetry,
 )
@@ -55,6 +56,8 @@ from wire.tls import Certificates
 
 SILENCE_S = 0.5
 """Age of the last heartbeat at which a cell counts as silent: ten heartbeats."""
+VALID_PART = 0.8
+"""Part of a start's timeout for which it is valid; the rest is for the answer's way back."""
 QUEUE_LENGTH = 256
 """Messages held for a slow subscriber; beyond it the oldest is dropped."""
 TICKET_S = 1.0
@@ -87,9 +90,7 @@ class CellClient:
     Args:
         cell: the cell's id.
         connect: endpoints of its control process.
-        clock: monotonic seconds, for the heartbeat's age.
-        time_of_day: seconds since the Unix epoch, for the `valid_until` of a start. It must agree with the cell's to
-            within a few seconds.
+        clock: monotonic seconds, for the heartbeat's age and the validity of a start.
         sender: name of this program in the cell's record; None: its process and host.
         certificates: of this program, for a `tls/` or `quic/` endpoint.
     """
@@ -99,7 +100,6 @@ class CellClient:
         cell: str,
         connect: Sequence[str],
         clock: Callable[[], float] = time.monotonic,
-        time_of_day: Callable[[], float] = time.time,
         sender: str | None = None,
         certificates: Certificates | None = None,
     ) -> None:
@@ -110,11 +110,11 @@ class CellClient:
         self._number = 0
         self._connect = tuple(connect)
         self._clock = clock
-        self._time_of_day = time_of_day
         self._session: zenoh.Session | None = None
         self._presence: asyncio.Task[None] | None = None
         self._status: Status | None = None
         self._heard_at: float | None = None
+        self._mark: StopMark | None = None
         self._status_queues: set[asyncio.Queue[Status]] = set()
         self._event_queues: set[asyncio.Queue[Event]] = set()
         self._telemetry_queues: set[asyncio.Queue[Telemetry]] = set()
@@ -148,7 +148,10 @@ class CellClient:
     # --- commands
 
     async def start(self, request: StartRequest, timeout_s: float = 10.0) -> RunResult:
-        """Ask for one insertion. Without a `valid_until`, the request is valid for `timeout_s`.
+        """Ask for one insertion.
+
+        A stop that comes after this call refuses it, unless `after` names an earlier or later moment. The request is
+        valid for a part of `timeout_s`, so that the arm does not move for a caller who has given up.
 
         Returns:
             The accepted run, or the one that the idempotency key found.
@@ -158,8 +161,13 @@ class CellClient:
             CellSilentError: no answer in time. The run may have been accepted: ask again with the same idempotency
                 key.
         """
+        called_at = self._clock()
+        if self._status is None or self._heard_at is None:
+            self._on_status(await self.status(timeout_s))
+        if request.after is None:
+            request = request.model_copy(update={"after": self._mark})
         if request.valid_until is None:
-            request = request.model_copy(update={"valid_until": self._time_of_day() + timeout_s})
+            request = request.model_copy(update={"valid_until": self._cell_clock(called_at + VALID_PART * timeout_s)})
         return _unwrap(await self._command(messages.START, request, messages.RUN_ANSWER, timeout_s))
 
     async def stop(self, request: StopRequest, timeout_s: float = 1.0) -> Status:
@@ -169,7 +177,7 @@ class CellClient:
             CellSilentError: no answer in time.
         """
         envelope = self._enveloped(request)  # without a ticket where there is none: a stop waits for nothing
-        return _unwrap(await self._ask(messages.STOP, envelope, messages.STATUS_ANSWER, timeout_s)).status
+        return self.heed(_unwrap(await self._ask(messages.STOP, envelope, messages.STATUS_ANSWER, timeout_s)).status)
 
     async def reset(self, request: ResetRequest, timeout_s: float = 5.0) -> Status:
         """Acknowledge the latched fault; nothing moves.
@@ -178,7 +186,9 @@ class CellClient:
             CellRefusedError: nothing is latched, another code is in force, force is above the limit, no fresh samples.
             CellSilentError: no answer in time.
         """
-        return _unwrap(await self._command(messages.RESET, request, messages.STATUS_ANSWER, timeout_s)).status
+        return self.heed(
+            _unwrap(await self._command(messages.RESET, request, messages.STATUS_ANSWER, timeout_s)).status
+        )
 
     # --- queries
 
@@ -208,6 +218,20 @@ class CellClient:
         """
         request = RunRequest(run_id=run_id)
         return _unwrap(await self._ask(messages.QUERY_RUN, request, messages.RUN_ANSWER, timeout_s)).run
+
+    # --- the order of stops
+
+    @property
+    def mark(self) -> StopMark | None:
+        """The newest mark in the order of stops that is known here; None before the first."""
+        return self._mark
+
+    def heed(self, status: Status) -> Status:
+        """Take note of the stops that a status tells of, wherever it was heard; return it."""
+        mark = self._mark
+        if mark is None or mark.service_epoch != status.service_epoch or mark.stops < status.stops:
+            self._mark = status.mark
+        return status
 
     # --- the heartbeat
 
@@ -270,6 +294,12 @@ class CellClient:
                 publisher.put(self._enveloped(Presence()).model_dump_json().encode())
             await asyncio.sleep(messages.CLIENT_HEARTBEAT_S)
 
+    def _cell_clock(self, time_s: float) -> float:
+        """Return the control process's clock at a time of this client's clock, never later than it will show."""
+        assert self._status is not None  # noqa: S101 - `start` has heard one
+        assert self._heard_at is not None  # noqa: S101
+        return self._status.clock_s + time_s - self._heard_at
+
     async def _draw_ticket(self, timeout_s: float) -> None:
         answer = await self._ask(QUERY_TICKET, TicketRequest(sender=self._sender), TICKET_ANSWER, timeout_s)
         self._ticket = _unwrap(answer)
@@ -297,7 +327,7 @@ class CellClient:
     def _on_status(self, status: Status) -> None:
         if self._ticket is not None and self._ticket.service_epoch != status.service_epoch:
             self._ticket = None  # of an earlier process
-        self._status, self._heard_at = status, self._clock()
+        self._status, self._heard_at = self.heed(status), self._clock()
         _offer(self._status_queues, status)
 
     def _subscribe(

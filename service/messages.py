@@ -77,6 +77,17 @@ class RunState(StrEnum):
     INTERRUPTED = "INTERRUPTED"
     """The control process ended before the run did."""
 
+    @staticmethod
+    def ended_by(code: FaultCode) -> "RunState":
+        """Return the state of a run that a latching stop with this code has ended."""
+        match code:
+            case FaultCode.OPERATOR_STOP | FaultCode.CLIENT_LOST:
+                return RunState.STOPPED
+            case FaultCode.INTERRUPTED:
+                return RunState.INTERRUPTED
+            case _:
+                return RunState.LATCHED
+
 
 class RefusalReason(StrEnum):
     """Kind of a refusal."""
@@ -85,7 +96,9 @@ class RefusalReason(StrEnum):
     UNKNOWN_RECIPE = "UNKNOWN_RECIPE"
     UNKNOWN_RUN = "UNKNOWN_RUN"
     EXPIRED = "EXPIRED"
-    """The request arrived after its `valid_until`."""
+    """The request could not be decided before its `valid_until`."""
+    STOPPED = "STOPPED"
+    """A stop came after the start had been received."""
     WRONG_STATE = "WRONG_STATE"
     LATCHED = "LATCHED"
     NOT_LATCHED = "NOT_LATCHED"
@@ -111,6 +124,18 @@ class Message(BaseModel):
 # --- requests
 
 
+class StopMark(Message):
+    """A place in the order of a cell's stops.
+
+    Attributes:
+        service_epoch: identity of the control process that counts.
+        stops: stops counted until then: every stop command, and every fault that latched.
+    """
+
+    service_epoch: str
+    stops: int = Field(ge=0)
+
+
 class StartRequest(Message):
     """Ask for one insertion.
 
@@ -119,14 +144,17 @@ class StartRequest(Message):
         seed: seed of the simulated world; None draws one. A real arm refuses a seed.
         idempotency_key: a second start with the same key starts nothing and is answered with the first one's run.
         requested_by: person or program that asks, for the record.
-        valid_until: a start that arrives later is refused; None: never. It keeps the arm from moving for a request that
-            waited while the control process was frozen, and whose sender has given up.
+        after: newest mark that the sender had when it received the start. The start is refused if the cell has counted
+            another stop since, or is served by another control process. None: the mark when the request arrives.
+        valid_until: time on the control process's clock (`Status.clock_s`) from which the start is refused; None:
+            never. It keeps the arm from moving for a request whose sender has given up.
     """
 
     recipe: str = Field(pattern=NAME_PATTERN)
     seed: int | None = Field(default=None, ge=0, lt=2**63)
     idempotency_key: str | None = Field(default=None, min_length=1, max_length=128)
     requested_by: str = Field(default="", max_length=128)
+    after: StopMark | None = None
     valid_until: float | None = None
 
 
@@ -182,15 +210,19 @@ class Run(Message):
     """One insertion, under way or ended.
 
     Attributes:
+        seq: place in the order in which the cell accepted its runs; 0 where an older version recorded it.
         code: why it did not succeed; None while it is under way and for a success.
         phase: phase of the dynamic safety lock at the last policy step.
         steps: policy steps taken.
         depth_m: depth of the peg's bottom below the hole's surface at the last policy step, as the cell measures it.
         peak_force_n: largest resultant force of any sample since the run was accepted.
         duration_s: time since the first approach move, on the samples' clock.
+        requested_at: time of day at which the run was accepted.
+        ended_at: `requested_at` and the time that has passed since on a monotonic clock.
     """
 
     id: str
+    seq: int = 0
     recipe: str
     seed: int | None
     state: RunState
@@ -260,6 +292,10 @@ class Status(Message):
     """Identity of the control process; another value means that it was restarted."""
     seq: int
     time: float
+    clock_s: float
+    """Monotonic clock of the control process, s; no clock of day moves it."""
+    stops: int
+    """Stops counted by this control process, see `StopMark`."""
     state: CellState
     can_start: bool
     why_not: str | None = None
@@ -276,6 +312,11 @@ class Status(Message):
     degradations: tuple[str, ...] = ()
     """Things that this host does not permit (real-time scheduling, say); the cell works less exactly without them."""
     counters: Counters = Counters()
+
+    @property
+    def mark(self) -> StopMark:
+        """The place of this status in the order of stops."""
+        return StopMark(service_epoch=self.service_epoch, stops=self.stops)
 
 
 class EventKind(StrEnum):

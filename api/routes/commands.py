@@ -8,6 +8,7 @@ from fastapi import APIRouter, Header, Request, Response
 from api.history import HistoryError
 from api.models import ResetBody, StartBody, StopAnswer
 from api.problems import SILENT_TEXT, ProblemError, described
+from api.receipt import Receipt
 from api.runtime import RuntimeDependency, runtime_of
 from service.client import CellSilentError
 from service.messages import CellState, ResetRequest, Run, StartRequest, StopRequest
@@ -15,6 +16,8 @@ from service.stopping import confirm, deliver, is_standing
 
 router = APIRouter(tags=["commands"])
 _log = structlog.get_logger("api.commands")
+
+STOPPED_TEXT = "A stop came after this start had been received: look at the cell, then start again."
 
 
 @router.post(
@@ -27,6 +30,7 @@ _log = structlog.get_logger("api.commands")
 )
 async def start(
     body: StartBody,
+    request: Request,
     response: Response,
     runtime: RuntimeDependency,
     idempotency_key: Annotated[
@@ -43,6 +47,8 @@ async def start(
 ) -> Run:
     """Answer 202 with the run once the cell has accepted it, or 409 with the fault's code if its state forbids a start.
 
+    A stop that comes before the answer wins: the start is refused with `STOPPED`, or its run is stopped.
+
     The run continues on its own: follow it with `GET /runs/{id}`, `GET /status` or `GET /events`.
     """
     if runtime.cell.is_silent:
@@ -51,11 +57,20 @@ async def start(
         await runtime.cell.history.check()
     except HistoryError as error:
         raise ProblemError(503, "STORAGE", str(error)) from error
-    request = StartRequest(
-        recipe=body.recipe, seed=body.seed, idempotency_key=idempotency_key, requested_by=body.operator or "api"
+    receipt: Receipt = request.state.receipt
+    if await request.is_disconnected():
+        raise ProblemError(503, "EXPIRED", "The client gave up before the start was sent to the control process.")
+    if receipt.stops_asked != runtime.cell.stops_asked:
+        raise ProblemError(409, "STOPPED", STOPPED_TEXT)
+    start_request = StartRequest(
+        recipe=body.recipe,
+        seed=body.seed,
+        idempotency_key=idempotency_key,
+        requested_by=body.operator or "api",
+        after=receipt.mark,
     )
     try:
-        result = await runtime.unless_closing(runtime.cell.client.start(request))
+        result = await runtime.unless_closing(runtime.cell.client.start(start_request))
     except CellSilentError as error:
         raise ProblemError(
             503,
@@ -97,12 +112,14 @@ async def stop(request: Request, response: Response) -> StopAnswer:
     process protection: it is not the robot's emergency stop and replaces no certified safety function.
     """
     runtime = runtime_of(request)
+    runtime.cell.stops_asked += 1
     stopper = runtime.cell.stopper
     try:
         status = await deliver(stopper, StopRequest(reason="stop over HTTP", requested_by="api"))
     except CellSilentError as error:
         _log.error("stop not delivered")
         raise ProblemError(503, "STOP_NOT_DELIVERED", SILENT_TEXT, state=CellState.UNKNOWN) from error
+    runtime.cell.client.heed(status)
     status = await confirm(stopper, status)
     confirmed = is_standing(status)
     _log.warning("stop", confirmed=confirmed, state=status.state.value)

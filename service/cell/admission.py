@@ -7,7 +7,7 @@ from service.cell import report
 from service.cell.states import StateMachine
 from service.config import CellConfig, LimitsSection
 from service.drivers.base import Program, Sample
-from service.messages import CellState, Latch, Problem, RefusalReason, Refused, ResetRequest, StartRequest
+from service.messages import CellState, Latch, Problem, RefusalReason, Refused, ResetRequest, StartRequest, StopMark
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +24,9 @@ class Situation:
         force_n: its resultant force.
         force_ceiling_n: in force.
         resetting: whether an earlier reset is not finished.
+        starting: whether an earlier start is not decided.
+        mark: place in the order of stops.
+        clock_s: time on the control process's clock.
     """
 
     states: StateMachine
@@ -35,6 +38,9 @@ class Situation:
     force_n: float
     force_ceiling_n: float
     resetting: bool
+    starting: bool
+    mark: StopMark
+    clock_s: float
 
     def problem(self, reason: RefusalReason, detail: str, field: str | None = None) -> Problem:
         """Return a refusal in this situation."""
@@ -64,8 +70,22 @@ def why_not_start(
     if situation.storage_text is not None:
         text = f"the state directory cannot be written: {situation.storage_text}"
         return situation.problem(RefusalReason.STORAGE, text)
-    if request is None:
-        return None
+    if situation.starting:
+        text = "another start is being decided: wait for its answer"
+        return situation.problem(RefusalReason.WRONG_STATE, text)
+    return None if request is None else _why_not_this_start(situation, request, config, simulated)
+
+
+def _why_not_this_start(
+    situation: Situation, request: StartRequest, config: CellConfig, simulated: bool
+) -> Problem | None:
+    if request.after is not None and request.after != situation.mark:
+        since = "a stop came" if request.after.service_epoch == situation.mark.service_epoch else "the cell restarted"
+        text = f"{since} after this start had been received: look at the cell, then start again"
+        return situation.problem(RefusalReason.STOPPED, text)
+    if request.valid_until is not None and situation.clock_s > request.valid_until:
+        text = "the start could not be decided before its valid_until: ask again"
+        return situation.problem(RefusalReason.EXPIRED, text)
     if request.recipe not in config.recipes:
         text = f"no recipe {request.recipe!r}; there are {', '.join(config.recipes)}"
         return situation.problem(RefusalReason.UNKNOWN_RECIPE, text, "recipe")

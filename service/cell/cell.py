@@ -21,7 +21,7 @@ from service.cell.orders import Fail
 from service.cell.policy_process import PolicyProcess
 from service.cell.remarks import Remarks
 from service.cell.resetting import Resetting
-from service.cell.runs import Runs, ended_by
+from service.cell.runs import Runs
 from service.cell.standstill import Standstill
 from service.cell.starting import Starting
 from service.cell.states import WITH_RUN, StateMachine
@@ -41,6 +41,7 @@ from service.messages import (
     StartRequest,
     Status,
     StatusResult,
+    StopMark,
     StopRequest,
 )
 from service.safety.stop import StopState
@@ -66,7 +67,8 @@ class Cell:
         driver: not connected yet; `watch.keep_linked` connects it.
         inference: how runs get their inference from policies in this process; None: each policy has a process of its
             own, which can be killed.
-        time_of_day: seconds since the Unix epoch, for stamps only; decisions use the driver's clock.
+        time_of_day: seconds since the Unix epoch, for stamps only; decisions about the arm use the driver's clock.
+        clock: monotonic seconds of this process, for the validity of requests and the length of runs.
 
     Attributes:
         unlinked: set while the link to the arm is down or not believed.
@@ -82,10 +84,11 @@ class Cell:
         *,
         inference: InferenceKind | None = None,
         time_of_day: Callable[[], float] = time.time,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.config = config
         self.driver = driver
-        self.journal = Journal(config.cell.state_dir, time_of_day)
+        self.journal = Journal(config.cell.state_dir, time_of_day, clock)
         self.runs = Runs(self.journal, driver)
         self.degradations: Sequence[str] = ()
         self.telemetry_dropped = 0
@@ -104,7 +107,7 @@ class Cell:
         self._states = StateMachine(CellState.OFFLINE if self.journal.latch is None else CellState.LATCHED)
         self._remarks = Remarks(lambda text: self.journal.tell(EventKind.WARNING, self.state, text), driver.clock)
         self._link_text = "not connected yet"
-        self._status_seq = 0
+        self._status_seq = self._stops = 0
         self._client_heard_at = 0.0
 
     @property
@@ -114,6 +117,11 @@ class Cell:
     @property
     def newest_sample(self) -> Sample | None:
         return self._intake.sample
+
+    @property
+    def mark(self) -> StopMark:
+        """Place in the order of stops. May be read on any thread."""
+        return StopMark(service_epoch=self.journal.epoch, stops=self._stops)
 
     # --- from the driver
 
@@ -180,9 +188,10 @@ class Cell:
             self.lose_link(text)
 
     def _begin_stop(self, code: FaultCode, text: str) -> None:
+        self._stops += 1
         self._states.to(CellState.STOPPING)
         self._standstill.begin()
-        state = ended_by(code)
+        state = RunState.ended_by(code)
         run_id, peak_n = self.runs.active_id, self._intake.peak_force_n
         # Before the run's end: a process that dies between the two writes must come back latched
         self.journal.set_latch(code, text, run_id, None if run_id is None else peak_n)
@@ -276,12 +285,18 @@ class Cell:
     # --- requests
 
     async def start(self, request: StartRequest) -> RunResult | Refused:
-        """Accept a run, or say why not. The answer comes once the run is on the disk, before anything moves."""
+        """Accept a run, or say why not. The answer comes once the run is on the disk, before anything moves.
+
+        A request without a mark was received now: a stop from here on refuses it.
+        """
+        if request.after is None:
+            request = request.model_copy(update={"after": self.mark})
         return await self._starting.start(request)
 
     def stop(self, request: StopRequest) -> StatusResult:
-        """Stop whatever moves, in every state; latch if a run is under way."""
+        """Stop whatever moves, in every state; latch if a run is under way. No start received before survives it."""
         self.driver.stop()
+        self._stops += 1
         if self.state in WITH_RUN:
             by = f" by {request.requested_by}" if request.requested_by else ""
             why = f": {request.reason}" if request.reason else ""
@@ -304,6 +319,8 @@ class Cell:
             service_epoch=self.journal.epoch,
             seq=self._status_seq,
             time=self.journal.time_of_day(),
+            clock_s=self.journal.clock(),
+            stops=self._stops,
             state=self.state,
             can_start=blocked is None,
             why_not=None if blocked is None else blocked.detail,
@@ -320,6 +337,7 @@ class Cell:
 
     async def close(self) -> None:
         """Stop, wait for standstill as long as a stop may take, and release everything."""
+        self._stops += 1
         if self.state in WITH_RUN:
             self.halt(FaultCode.INTERRUPTED, "the control process was told to end")
         self.driver.stop()
@@ -347,6 +365,9 @@ class Cell:
             force_n=intake.force_n,
             force_ceiling_n=intake.force_ceiling_n,
             resetting=self._resetting.under_way,
+            starting=self._starting.deciding,
+            mark=self.mark,
+            clock_s=self.journal.clock(),
         )
 
     def enter(self, state: CellState) -> None:

@@ -1,7 +1,8 @@
 """The cell on Zenoh: commands, queries and publications. `service/messages.py` has the keys.
 
-Zenoh's threads decode nothing and touch nothing of the cell: they hand each query to the event loop. A stop is carried
-out in the turn of the loop in which it arrives, even while other queries wait.
+Zenoh's threads decode nothing and touch nothing of the cell: they hand each query to the event loop, with the cell's
+mark in the order of stops at its arrival. A stop is carried out in the turn of the loop in which it arrives, even while
+other queries wait, and every start that arrived before it is refused.
 """
 
 import asyncio
@@ -31,11 +32,14 @@ from service.messages import (
     RunsResult,
     StartRequest,
     StatusResult,
+    StopMark,
     Telemetry,
 )
 from wire.session import call_in_loop
 
 MAX_REQUEST_BYTES = 16_384
+KEPT_S = 0.05
+"""Longest wait of a stop's answer for its cause to be written, s. The stop itself waits for nothing."""
 MAX_OPEN_QUERIES = 64
 """Largest number of requests that wait for their answer; more are refused. A stop is not counted."""
 
@@ -54,11 +58,13 @@ class Asked:
         query: to reply to.
         key: under which it is served; the query itself may name a wildcard.
         payload: the request.
+        arrived: the cell's mark in the order of stops when it arrived.
     """
 
     query: zenoh.Query
     key: str
     payload: bytes
+    arrived: StopMark
 
     @property
     def named(self) -> str:
@@ -133,8 +139,27 @@ class ControlPlane:
             request = self._reception.stop(asked.named, asked.key, asked.payload)
         except NotACommandError as error:
             self._reply(asked, self._refused(error.reason, str(error), error.field))
+            return
+        answer = self._cell.stop(request)
+        self._put(self._status, answer.status)  # its mark reaches every client before the next heartbeat
+        self._reply_once_kept(asked, answer)
+
+    def _reply_once_kept(self, asked: Asked, answer: StatusResult) -> None:
+        """Answer a stop once its cause survives the end of this process, and after `KEPT_S` in any case.
+
+        The thread that wrote the cause answers, so that the answer does not wait for its turn in the loop.
+        """
+        token = threading.Lock()
+
+        def reply(*_: object) -> None:
+            if token.acquire(blocking=False):
+                self._reply(asked, answer)
+
+        if (kept := self._cell.journal.latch_kept) is None:
+            reply()
         else:
-            self._reply(asked, self._cell.stop(request))
+            kept.add_done_callback(reply)
+            self._loop.call_later(KEPT_S, reply)
 
     def _on_status(self, asked: Asked) -> None:
         self._reply(asked, StatusResult(status=self._cell.status()))
@@ -178,6 +203,8 @@ class ControlPlane:
             except NotACommandError as error:
                 self._reply(asked, self._refused(error.reason, str(error), error.field))
                 return
+            if isinstance(request, StartRequest) and request.after is None:
+                request = request.model_copy(update={"after": asked.arrived})
             task = self._loop.create_task(self._carry_out(asked, answer(request)))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
@@ -206,7 +233,8 @@ class ControlPlane:
 
         def on_query(query: zenoh.Query) -> None:
             payload = b"" if query.payload is None else query.payload.to_bytes()
-            asked = Asked(query, own, payload if len(payload) <= MAX_REQUEST_BYTES else b"too long")
+            payload = payload if len(payload) <= MAX_REQUEST_BYTES else b"too long"
+            asked = Asked(query, own, payload, self._cell.mark)
             if room.acquire(blocking=False):
                 call_in_loop(self._loop, in_loop, asked)
             elif key == messages.STOP and asked.may_command:  # a flood of others keeps no stop out

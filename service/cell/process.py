@@ -2,13 +2,11 @@
 
 import asyncio
 import contextlib
-import fcntl
 import signal
 import time
 from collections.abc import AsyncGenerator, Callable, Generator, Sequence
 from contextlib import ExitStack, asynccontextmanager, contextmanager
 from functools import partial
-from pathlib import Path
 
 import structlog
 
@@ -81,28 +79,8 @@ def _quiet(cell: Cell, watchdog: Watchdog) -> None:
         cell.journal.tell(EventKind.WARNING, cell.state, WATCHDOG_LOST)
 
 
-@contextmanager
-def alone(state_dir: Path) -> Generator[None]:
-    """Lock a state directory against other control processes while the context lasts.
-
-    Without the lock, a second process would take the run of the first for interrupted, and latch on the disk, before it
-    found the endpoint in use.
-
-    Raises:
-        OSError: another process has locked it, or it cannot be written.
-    """
-    state_dir.mkdir(parents=True, exist_ok=True)
-    with (state_dir / "lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            text = f"another control process uses {state_dir}: stop it, or give this cell a cell.state_dir of its own"
-            raise OSError(text) from None
-        yield
-
-
 async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> None:
-    """Run until SIGTERM or SIGINT; stop the arm before returning.
+    """Run until SIGTERM or SIGINT; stop the arm before returning. The caller holds the lock of `alone`.
 
     Args:
         config: of the cell.
@@ -113,11 +91,6 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
     Raises:
         OSError: the endpoint or the state directory cannot be used.
     """
-    with alone(config.cell.state_dir):
-        await _run(config, driver, brake)
-
-
-async def _run(config: CellConfig, driver: Driver, brake: Sequence[str]) -> None:
     loop = asyncio.get_running_loop()
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -1,6 +1,5 @@
 """The reset of a latched cell: an operator acknowledges the fault, and nothing moves."""
 
-import asyncio
 from typing import Protocol
 
 from service.cell.admission import Situation, refused, why_not_reset
@@ -55,7 +54,7 @@ class Resetting:
             return Refused(problem=problem)
         self.under_way = True
         try:
-            await asyncio.wrap_future(journal.clear_latch_on_disk())
+            await journal.clear_latch_on_disk()
         except OSError as error:
             text = f"the latch could not be cleared on the disk: {error}"
             return refused(self._host.state, RefusalReason.STORAGE, text)

@@ -30,18 +30,7 @@ STATE_IN: dict[Stage, CellState] = {
 }
 """The cell's state in each stage of an insertion."""
 
-_ENDED_BY = {
-    FaultCode.OPERATOR_STOP: RunState.STOPPED,
-    FaultCode.CLIENT_LOST: RunState.STOPPED,
-    FaultCode.INTERRUPTED: RunState.INTERRUPTED,
-}
-
 _log = structlog.get_logger("service.cell")
-
-
-def ended_by(code: FaultCode) -> RunState:
-    """Return the state of a run that a latching stop with this code has ended."""
-    return _ENDED_BY.get(code, RunState.LATCHED)
 
 
 class RunHost(Protocol):
@@ -201,26 +190,34 @@ class Runs:
         self._journal = journal
         self._driver = driver
         self._last: Run | None = None
+        self._begun_s = 0.0
         self.active: ActiveRun | None = None
 
     @property
     def active_id(self) -> str | None:
         return None if self.active is None else self.active.accepted.id
 
-    def begin(self, request: StartRequest, host: RunHost) -> ActiveRun:
-        """Make the run under way; it is recorded once it has been accepted."""
+    def draft(self, request: StartRequest, policy_sha256: str) -> Run:
+        """Describe the run that a start asks for. It is no run before `begin`."""
         seed = request.seed
         if seed is None and self._driver.simulated:
             seed = secrets.randbelow(2**31)
-        run = Run(
+        return Run(
             id=f"run-{secrets.token_hex(6)}",
+            seq=self._journal.next_seq(),
             recipe=request.recipe,
             seed=seed,
             state=RunState.ACTIVE,
             requested_at=self._journal.time_of_day(),
             requested_by=request.requested_by,
             idempotency_key=request.idempotency_key,
+            policy_sha256=policy_sha256,
         )
+
+    def begin(self, run: Run, host: RunHost) -> ActiveRun:
+        """Make a run that is on the disk the run under way."""
+        self._journal.admit(run)
+        self._begun_s = self._journal.clock()
         self.active = ActiveRun(run, self._driver, host)
         return self.active
 
@@ -238,7 +235,9 @@ class Runs:
         if active is None:
             return None
         active.abandon()
-        changes = {"state": state, "code": code, "text": text, "ended_at": self._journal.time_of_day()}
+        # Not the time of day, which may have been set back since
+        ended_at = active.accepted.requested_at + self._journal.clock() - self._begun_s
+        changes = {"state": state, "code": code, "text": text, "ended_at": ended_at}
         self._last = run = active.snapshot(peak_force_n, now_s).model_copy(update=changes)
         self._journal.record(run)
         return run
@@ -249,13 +248,6 @@ class Runs:
         if last is not None and peak_force_n > (last.peak_force_n or 0.0):
             self._last = run = last.model_copy(update={"peak_force_n": peak_force_n})
             self._journal.record(run)
-
-    def take_back(self) -> None:
-        """Forget the run under way: it was not accepted after all."""
-        if self.active is not None:
-            self.active.abandon()
-            self._journal.forget(self.active.accepted.id)
-            self.active = None
 
     def current(self, peak_force_n: float, now_s: float) -> Run | None:
         """Return the run under way, else the last one of this process."""

@@ -1,6 +1,7 @@
 """The start of a run: accepted, recorded, and its world prepared, before anything moves."""
 
 import asyncio
+from dataclasses import replace
 from typing import Protocol, cast
 
 import structlog
@@ -69,73 +70,90 @@ class Starting:
         self._intake = intake
         self._host = host
         self._policies = PolicyShelf(config, driver.tick_s, opener)
+        self._deciding: asyncio.Task[RunResult | Refused] | None = None
+        self._deciding_key: str | None = None
         self._preparation: asyncio.Task[None] | None = None
         self.preparing = False
 
+    @property
+    def deciding(self) -> bool:
+        """True while a start is being decided: it is no run yet, and another one must wait."""
+        return self._deciding is not None
+
     async def start(self, request: StartRequest) -> RunResult | Refused:
-        """Accept a run, or say why not. The answer comes once the run is on the disk, before anything moves."""
-        if (known := self._runs.find_key(request.idempotency_key)) is not None:
+        """Accept a run, or say why not. The answer comes once the run is on the disk, before anything moves.
+
+        Until then there is no run: nothing of it is told or found, and the cell is READY. Whatever must hold for a
+        start is checked again after every wait, so that a stop, a fault or a client that has given up ends it.
+        """
+        key = request.idempotency_key
+        if (known := self._runs.find_key(key)) is not None:
             return RunResult(run=known, created=False)
-        problem = why_not_start(self._host.situation(), request, self._config, self._driver.simulated)
-        if problem is not None:
-            return Refused(problem=problem)
-        if self._has_expired(request):
-            return self._refuse(RefusalReason.EXPIRED, "the start arrived after its valid_until: ask again")
-        self._host.hear_client()
-        self._host.enter(CellState.PREFLIGHT)
-        active = self._runs.begin(request, self._host)
-        self._intake.clear_peak()
-        try:
-            policy = await asyncio.to_thread(self._policies.admit, request.recipe)
-        except PolicyRefusedError as error:
-            return self._take_back(active, RefusalReason.POLICY_REFUSED, str(error))
-        if self._has_expired(request):
-            return self._take_back(active, RefusalReason.EXPIRED, "loading the policy took too long: ask again")
-        if not active.abandoned:
-            active.accepted = active.accepted.model_copy(update={"policy_sha256": policy.sha256})
-            try:
-                await self._record(active)
-            except OSError as error:
-                return self._take_back(active, RefusalReason.STORAGE, f"the run cannot be recorded: {error}")
-        if active.abandoned:
-            return self._stopped(active)
-        self._journal.tell(EventKind.RUN, self._host.state, f"accepted, {request.recipe}", run_id=active.accepted.id)
-        self._preparation = asyncio.create_task(self._prepare(active, policy), name=f"prepare {active.accepted.id}")
-        return RunResult(run=active.accepted, created=True)
+        if self._deciding is not None and key is not None and key == self._deciding_key:
+            answer = await asyncio.shield(self._deciding)
+            return answer if isinstance(answer, Refused) else RunResult(run=answer.run, created=False)
+        if (refusal := self._why_not(request, self._host.situation())) is not None:
+            return refusal
+        self._deciding_key = key
+        self._deciding = asyncio.create_task(self._decide(request), name="start")
+        return await asyncio.shield(self._deciding)
 
     def cancel(self) -> None:
-        """Give up the preparation under way."""
-        if self._preparation is not None:
-            self._preparation.cancel()
+        """Give up the start and the preparation under way."""
+        for task in (self._deciding, self._preparation):
+            if task is not None:
+                task.cancel()
 
     def close(self) -> None:
         """Release the policies. May block for a moment."""
         self._policies.close()
 
-    # --- acceptance
+    # --- decision
 
-    async def _record(self, active: ActiveRun) -> None:
-        recorded = self._journal.record(active.accepted)
-        if recorded is None:
-            raise OSError(self._journal.fault)
-        await asyncio.wrap_future(recorded)
+    async def _decide(self, request: StartRequest) -> RunResult | Refused:
+        try:
+            return await self._decide_alone(request)
+        finally:
+            self._deciding = None
 
-    def _take_back(self, active: ActiveRun, reason: RefusalReason, detail: str) -> RunResult | Refused:
-        """Refuse after all, unless a stop came first: then there is a run, and it was stopped."""
-        if active.abandoned:
-            return self._stopped(active)
-        self._runs.take_back()
-        self._host.enter(CellState.READY)
-        return self._refuse(reason, detail)
+    async def _decide_alone(self, request: StartRequest) -> RunResult | Refused:
+        try:
+            policy = await asyncio.to_thread(self._policies.admit, request.recipe)
+        except PolicyRefusedError as error:
+            return refused(self._host.state, RefusalReason.POLICY_REFUSED, str(error))
+        if (refusal := self._why_not_now(request)) is not None:
+            return refusal
+        run = self._runs.draft(request, policy.sha256)
+        try:
+            await self._journal.propose(run)
+        except OSError as error:
+            refusal = refused(self._host.state, RefusalReason.STORAGE, f"the run cannot be recorded: {error}")
+        except asyncio.CancelledError:
+            self._journal.take_back(run.id)
+            raise
+        else:
+            refusal = self._why_not_now(request)
+        if refusal is not None:
+            await self._journal.withdraw(run.id)
+            return refusal
+        self._accept(run, policy)
+        return RunResult(run=run, created=True)
 
-    def _stopped(self, active: ActiveRun) -> RunResult:
-        return RunResult(run=self._runs.find(active.accepted.id) or active.accepted, created=True)
+    def _accept(self, run: Run, policy: Admitted) -> None:
+        active = self._runs.begin(run, self._host)
+        self._intake.clear_peak()
+        self._host.hear_client()
+        self._host.enter(CellState.PREFLIGHT)
+        self._journal.tell(EventKind.RUN, self._host.state, f"accepted, {run.recipe}", run_id=run.id)
+        self._preparation = asyncio.create_task(self._prepare(active, policy), name=f"prepare {run.id}")
 
-    def _refuse(self, reason: RefusalReason, detail: str) -> Refused:
-        return refused(self._host.state, reason, detail)
+    def _why_not_now(self, request: StartRequest) -> Refused | None:
+        """Return why the start that is being decided cannot be accepted at this moment; None where it can."""
+        return self._why_not(request, replace(self._host.situation(), starting=False))
 
-    def _has_expired(self, request: StartRequest) -> bool:
-        return request.valid_until is not None and self._journal.time_of_day() > request.valid_until
+    def _why_not(self, request: StartRequest, situation: Situation) -> Refused | None:
+        problem = why_not_start(situation, request, self._config, self._driver.simulated)
+        return None if problem is None else Refused(problem=problem)
 
     # --- preparation
 

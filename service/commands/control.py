@@ -7,6 +7,7 @@ from typing import assert_never
 
 import typer
 
+from service.cell.alone import alone
 from service.commands.configured import ConfigPath, load_cell, ur_section
 from service.config import CellConfig
 from service.drivers.sim_process import Simulator, simulator
@@ -20,7 +21,7 @@ def control(config: ConfigPath = None) -> None:
     cell = load_cell(config)
     take_over_stderr()
     try:
-        with _world(cell) as world:
+        with alone(cell.cell.state_dir), _world(cell) as world:
             _run(cell, world)
     except OSError as error:
         typer.echo(f"the control process cannot run: {error}", err=True)

@@ -1,4 +1,5 @@
 import asyncio
+import json
 import sqlite3
 from pathlib import Path
 
@@ -48,6 +49,34 @@ async def test_a_locked_database_is_told_and_the_run_is_written_once_it_is_free(
     await asyncio.gather(writer, return_exceptions=True)
     await history.close()
     assert history.problem is None
+
+
+async def test_79_a_database_of_an_older_version_opens_and_its_runs_stand_before_the_numbered_ones(
+    tmp_path: Path,
+) -> None:
+    database = sqlite3.connect(tmp_path / "runs.sqlite")
+    database.execute(
+        "CREATE TABLE runs (id VARCHAR(64) NOT NULL PRIMARY KEY, requested_at FLOAT NOT NULL, recipe VARCHAR(64) "
+        "NOT NULL, state VARCHAR(16) NOT NULL, code VARCHAR(32), document JSON NOT NULL)"
+    )
+    database.execute("CREATE INDEX runs_newest_first ON runs (requested_at, id)")
+    for number in (1, 2):
+        document = run(RunState.SUCCEEDED).model_dump(mode="json") | {
+            "id": f"old-{number}",
+            "requested_at": 1e9 + number,
+        }
+        del document["seq"]
+        values = (f"old-{number}", 1e9 + number, "tr-2mm", "SUCCEEDED", None, json.dumps(document))
+        database.execute("INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?)", values)
+    database.commit()
+    database.close()
+    history = RunHistory(url(tmp_path))
+    await history.open()
+    await history.record([run().model_copy(update={"seq": 1})])
+    assert history.problem is None
+    assert [found.id for found in await history.newest(10)] == ["run-1", "old-2", "old-1"]
+    assert [found.id for found in await history.newest(10, before="old-2")] == ["old-1"]
+    await history.close()
 
 
 async def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ from service.messages import (
     StartRequest,
     Status,
     StatusResult,
+    StopMark,
     Telemetry,
 )
 from wire.session import close_session, open_session
@@ -110,6 +111,7 @@ class WireCell:
         arm_stops: whether a stop brings the arm to a measured standstill.
         heartbeat: publish the status at all.
         deaf_to_starts: end start requests without an answer.
+        deaf: end every request without an answer.
         hold_starts: leave start requests open.
     """
 
@@ -125,6 +127,7 @@ class WireCell:
     arm_stops: bool = True
     heartbeat: bool = True
     deaf_to_starts: bool = False
+    deaf: bool = False
     hold_starts: bool = False
     id: str = CELL
     held: list[zenoh.Query] = field(default_factory=list)
@@ -174,6 +177,8 @@ class WireCell:
                 service_epoch=self.epoch,
                 seq=self.seq,
                 time=time.time(),
+                clock_s=time.monotonic(),
+                stops=len(self.stops),
                 state=self.state,
                 can_start=self.state is CellState.READY,
                 why_not=None if self.state is CellState.READY else f"the cell is {self.state}",
@@ -244,6 +249,8 @@ class WireCell:
                     return RunResult(run=run, created=False)
             if self.refuse_start is not None:
                 return Refused(problem=self.refuse_start)
+            if request.after is not None and request.after != StopMark(service_epoch=self.epoch, stops=len(self.stops)):
+                return self._refused(RefusalReason.STOPPED, "a stop came after the start")
             if self.latch is not None:
                 return self._refused(RefusalReason.LATCHED, "reset first", code=self.latch.code)
             if self.state is not CellState.READY:
@@ -263,8 +270,11 @@ class WireCell:
         return RunResult(run=run, created=True)
 
     def _stop(self, payload: bytes) -> Message:
+        return self.stop(json.loads(payload)["request"]["reason"])
+
+    def stop(self, reason: str) -> Message:
         with self._lock:
-            self.stops.append(json.loads(payload)["request"]["reason"])
+            self.stops.append(reason)
             if self.state is CellState.RUNNING:
                 self.state = CellState.STOPPING
                 if self.arm_stops:
@@ -308,7 +318,7 @@ class WireCell:
 
     def _answering(self, answer: Callable[[bytes], Message | None]) -> Callable[[zenoh.Query], None]:
         def on_query(query: zenoh.Query) -> None:
-            reply = answer(query.payload.to_bytes() if query.payload is not None else b"")
+            reply = None if self.deaf else answer(query.payload.to_bytes() if query.payload is not None else b"")
             if reply is not None:
                 query.reply(query.key_expr, reply.model_dump_json())
             query.drop()

@@ -1,21 +1,24 @@
 """The journal of one cell: latch and ledger on disk, events to the observers. Only its opening and `close` block."""
 
+import asyncio
 import secrets
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import structlog
 
 from service.cell.journal.latch_file import LatchFile
 from service.cell.journal.ledger import Ledger
-from service.cell.journal.storage import StorageFullError, StorageThread
+from service.cell.journal.storage import StorageFullError, Write
 from service.cell.tick_record import TickRecord
 from service.faults import FaultCode
 from service.messages import CellState, Event, EventKind, Latch, Run, Telemetry
 
-T = TypeVar("T")
+RESET_S = 3.0
+"""Longest wait of a reset for the disk to have what was recorded before, s."""
 
 _log = structlog.get_logger("service.cell")
 
@@ -36,6 +39,7 @@ class Journal:
     Args:
         directory: the cell's state directory.
         time_of_day: seconds since the Unix epoch, for stamps only.
+        clock: monotonic seconds.
 
     Attributes:
         observers: called in this order.
@@ -46,22 +50,28 @@ class Journal:
         OSError: the directory cannot be used.
     """
 
-    def __init__(self, directory: Path, time_of_day: Callable[[], float]) -> None:
+    def __init__(
+        self, directory: Path, time_of_day: Callable[[], float], clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self.epoch = secrets.token_hex(8)
         self.observers: list[Observer] = []
         self.time_of_day = time_of_day
+        self.clock = clock
         self._seq = 0
-        self._latch_file = LatchFile(directory)
-        self.latch: Latch | None = self._latch_file.read(time_of_day())
-        self._storage = StorageThread()
-        self._ledger = Ledger(directory, self._storage, time_of_day())
+        self._written: Write | None = None
+        self._latching: Write | None = None
+        now = time_of_day()
+        self._latch_file = LatchFile(directory, now)
+        self.latch: Latch | None = self._latch_file.found
+        self._ledger = Ledger(directory, now, self.latch)
         if self.latch is None:
             self._latch_by_ledger()
 
     @property
     def fault(self) -> str | None:
         """The reason why the disk cannot be relied on; None while it can."""
-        return self._storage.fault
+        faults = (self._latch_file.fault, self._ledger.fault)
+        return "; ".join(fault for fault in faults if fault is not None) or None
 
     # --- the latch
 
@@ -69,23 +79,23 @@ class Journal:
         """Latch. The latch is in force on return, whatever the disk does."""
         latch = Latch(code=code, text=text, latched_at=self.time_of_day(), run_id=run_id, peak_force_n=peak_force_n)
         self.latch = latch
-        self._storage.submit(lambda: self._latch_file.write(latch), owed=True)
+        self._latching = self._latch_file.set(latch)
         return latch
 
-    def clear_latch_on_disk(self) -> Future[None]:
-        """Clear the file. The latch stays in force until `drop_latch`.
+    @property
+    def latch_kept(self) -> Future[None] | None:
+        """Done once the last latch survives the end of this process, or could not be written; None without one."""
+        return None if self._latching is None else self._latching.kept
+
+    async def clear_latch_on_disk(self) -> None:
+        """Clear the file, after everything that was recorded before. The latch stays in force until `drop_latch`.
 
         Raises:
-            StorageFullError: the disk does not keep up.
+            OSError: the disk refuses; the latch stands.
         """
-
-        def clear() -> None:
-            # A latch that is still to be written would come back after it
-            if (owed := self._storage.owed_fault) is not None:
-                raise OSError(f"the latch itself is not on the disk yet ({owed})")
-            self._latch_file.write(None)
-
-        return self._storage.submit(clear)
+        if self._written is not None and not await _settled(self._written.synced, RESET_S):
+            raise OSError("the record of the stop is not on the disk yet: try again")
+        await asyncio.wrap_future(self._latch_file.clear().synced)
 
     def drop_latch(self) -> None:
         """End the latch in this process, once its file is clear."""
@@ -93,13 +103,35 @@ class Journal:
 
     # --- runs
 
-    def record(self, run: Run) -> Future[None] | None:
-        """Record a run, new or changed; return None where the disk does not keep up."""
-        return self._try(lambda: self._ledger.record(run))
+    def next_seq(self) -> int:
+        """Return the next number in the order of runs."""
+        return self._ledger.next_seq()
 
-    def forget(self, run_id: str) -> None:
-        """Remove a run that was not accepted after all."""
-        self._try(lambda: self._ledger.forget(run_id))
+    async def propose(self, run: Run) -> None:
+        """Write a run to the disk before it is accepted by `admit` or taken back by `withdraw`.
+
+        Raises:
+            OSError: the disk refuses.
+        """
+        self._written = written = self._ledger.propose(run)
+        await asyncio.wrap_future(written.synced)
+
+    def admit(self, run: Run) -> None:
+        """Have a proposed run found: it is accepted."""
+        self._ledger.admit(run)
+
+    def take_back(self, run_id: str) -> Write | None:
+        """Take back a proposed run; return None where the disk does not keep up."""
+        return self._try(lambda: self._ledger.withdraw(run_id))
+
+    async def withdraw(self, run_id: str) -> None:
+        """Take back a proposed run; return once that survives the end of this process, or could not be written."""
+        if (written := self.take_back(run_id)) is not None:
+            await _settled(written.kept)
+
+    def record(self, run: Run) -> None:
+        """Record a run that has changed."""
+        self._try(lambda: self._ledger.record(run))
 
     def find(self, run_id: str) -> Run | None:
         """Return a run as it was last recorded."""
@@ -137,10 +169,9 @@ class Journal:
 
     def close(self, timeout_s: float) -> bool:
         """Write what is pending; return whether all of it was written in time."""
-        written = self._storage.close(timeout_s)
-        if written:
-            self._ledger.close()
-        return written
+        deadline = time.monotonic() + timeout_s
+        written = self._latch_file.close(timeout_s)
+        return self._ledger.close(max(0.0, deadline - time.monotonic())) and written
 
     def _latch_by_ledger(self) -> None:
         """Latch where the ledger contradicts the latch's file, which says that nothing is latched."""
@@ -157,8 +188,17 @@ class Journal:
             text = f"the ledger's last line cannot be read; it may have been a run or a fault: {then}"
             self.set_latch(FaultCode.INTERRUPTED, text, None, None)
 
-    def _try(self, write: Callable[[], T]) -> T | None:
+    def _try(self, write: Callable[[], Write]) -> Write | None:
         try:
-            return write()
+            self._written = write()
         except StorageFullError:
             return None  # `fault` says so, and no run starts meanwhile
+        return self._written
+
+
+async def _settled(future: Future[None], timeout_s: float | None = None) -> bool:
+    """Wait until a write has succeeded or failed; return whether it has, in time."""
+    waiting = asyncio.wrap_future(future)
+    waiting.add_done_callback(lambda done: done.exception())  # seen: `fault` tells it
+    done, _ = await asyncio.wait([waiting], timeout=timeout_s)
+    return bool(done)

@@ -160,7 +160,7 @@ async def test_a_start_that_comes_after_its_sender_gave_up_is_refused_and_moves_
 ) -> None:
     async with faulty_cell() as faulty:
         bench = faulty.bench
-        now = bench.cell.journal.time_of_day()
+        now = bench.cell.journal.clock()
         late = await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY, valid_until=now - 0.001))
         assert isinstance(late, Refused)
         assert late.problem.reason is RefusalReason.EXPIRED
@@ -177,7 +177,7 @@ async def test_a_start_whose_policy_took_too_long_to_load_is_refused_and_moves_n
     async with faulty_cell() as faulty:
         bench = faulty.bench
         hours = iter([10.0, 10.0])
-        monkeypatch.setattr(bench.cell.journal, "time_of_day", lambda: next(hours, 12.0))
+        monkeypatch.setattr(bench.cell.journal, "clock", lambda: next(hours, 12.0))
         late = await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY, valid_until=11.0))
         assert isinstance(late, Refused)
         assert late.problem.reason is RefusalReason.EXPIRED
@@ -203,31 +203,6 @@ async def test_39_a_stop_in_any_state_of_a_run_latches_and_the_arm_stands(
         assert ended.state is RunState.STOPPED
         states = [event.state for event in bench.events]
         assert CellState.RUNNING not in states[states.index(CellState.STOPPING) :]
-
-
-@pytest.mark.parametrize("turns", range(8))
-async def test_stop_during_start_stop_wins_whatever_the_interleaving(
-    simulated_cell: SimulatedCellFactory, tmp_path: Path, turns: int
-) -> None:
-    async with simulated_cell(policies.still(tmp_path)) as bench:
-        starting = asyncio.create_task(bench.cell.start(StartRequest(recipe=RECIPE, seed=1)))
-        for _ in range(turns):
-            await asyncio.sleep(0)
-        bench.cell.stop(StopRequest())
-        answer = await starting
-        await bench.let_pass(1.0)
-        states = {event.state for event in bench.events}
-        if turns == 0:
-            # The stop came before the start was looked at: it is a stop of an idle cell.
-            assert isinstance(answer, RunResult)
-            return
-        assert CellState.RUNNING not in states
-        assert CellState.APPROACH not in states
-        assert bench.cell.state is CellState.LATCHED
-        assert isinstance(answer, RunResult)
-        ended = bench.cell.runs.find(answer.run.id)
-        assert ended is not None
-        assert ended.state is RunState.STOPPED
 
 
 async def test_a_stop_of_an_idle_cell_is_accepted_and_latches_nothing(

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -77,12 +78,21 @@ async def test_a_refusal_carries_its_reason_and_the_field(tmp_path: Path) -> Non
 
 async def test_a_client_says_until_when_its_start_is_valid_and_the_cell_goes_by_it(tmp_path: Path) -> None:
     async with served(tmp_path, policies.still(tmp_path)) as (bench, client):
-        client._time_of_day = lambda: bench.cell.journal.time_of_day() - 60.0
+        clock = bench.cell.journal.clock
+        sent = client._ask
+
+        async def late(*request: Any) -> Any:
+            bench.cell.journal.clock = lambda: clock() + 60.0
+            return await sent(*request)
+
+        client._ask = late
         with pytest.raises(CellRefusedError) as refused:
             await client.start(StartRequest(recipe=RECIPE, seed=EASY), timeout_s=30.0)
         assert refused.value.problem.reason is RefusalReason.EXPIRED
         assert bench.cell.state is CellState.READY
-        assert (await client.start(StartRequest(recipe=RECIPE, seed=EASY), timeout_s=90.0)).created
+        bench.cell.journal.clock = clock
+        client._ask = sent
+        assert (await client.start(StartRequest(recipe=RECIPE, seed=EASY), timeout_s=30.0)).created
 
 
 async def test_a_stop_and_its_reset_over_the_wire(tmp_path: Path) -> None:

@@ -2,12 +2,10 @@
 
 import asyncio
 import os
-from collections.abc import AsyncIterator, Callable, Sequence
-from concurrent.futures import Future
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -82,25 +80,6 @@ async def test_a_sensor_is_zeroed_only_while_the_arm_stands_and_rests(faulty_cel
         assert faulty.driver.said("zero_ft") == faulty.driver.said("engage") == []
 
 
-async def test_the_latch_is_the_first_thing_that_a_fault_writes(
-    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with faulty_cell() as faulty:
-        await faulty.running()
-        written: list[str] = []
-        storage = faulty.bench.cell.journal._storage
-        submit = storage.submit
-
-        def note(job: Callable[[], Any], *, owed: bool = False) -> Future[Any]:
-            written.append("latch" if owed else "ledger")
-            return submit(job, owed=owed)
-
-        monkeypatch.setattr(storage, "submit", note)
-        faulty.driver.spoil = lambda sample: [with_wrench(sample, fx=45.0)]
-        await faulty.bench.state(CellState.STOPPING)
-        assert written[:2] == ["latch", "ledger"], "a process that dies between the two comes back latched"
-
-
 async def test_a_latch_that_cannot_be_written_is_shown_holds_and_is_written_later(faulty_cell: FaultyCell) -> None:
     async with faulty_cell() as faulty:
         bench, obstacle = faulty.bench, faulty.state_dir / "latch.tmp"
@@ -108,13 +87,15 @@ async def test_a_latch_that_cannot_be_written_is_shown_holds_and_is_written_late
         obstacle.mkdir()
         bench.cell.stop(StopRequest())
         await faulty.assert_latched(run, FaultCode.OPERATOR_STOP)
-        await asyncio.to_thread(bench.cell.journal._storage.submit(lambda: None).result, 5.0)
+        await bench.until(lambda: bench.cell.journal.fault is not None)
         assert "state directory" in bench.cell.status().degradations[-1]
         answer = await bench.cell.reset(ResetRequest())
         assert isinstance(answer, Refused)
         assert answer.problem.reason is RefusalReason.STORAGE
         obstacle.rmdir()
-        await asyncio.to_thread(bench.cell.journal._storage.submit(lambda: None).result, 5.0)
+        async with asyncio.timeout(10.0):
+            while bench.cell.journal.fault is not None:
+                await asyncio.sleep(0.01)
         assert FaultCode.OPERATOR_STOP in (faulty.state_dir / "latch.json").read_text()
         assert bench.cell.status().degradations == ()
         assert isinstance(await bench.cell.reset(ResetRequest()), StatusResult)
@@ -361,7 +342,9 @@ async def test_a_start_that_the_disk_refused_leaves_no_run_behind(faulty_cell: F
         assert isinstance(refused, Refused)
         assert refused.problem.reason is RefusalReason.STORAGE
         assert ledger.newest(10) == ()
-        await asyncio.wait_for(asyncio.wrap_future(bench.cell.journal._storage.submit(lambda: None)), 5.0)
+        async with asyncio.timeout(10.0):
+            while bench.cell.journal.fault is not None:
+                await asyncio.sleep(0.01)
         accepted = await bench.cell.start(request)
         assert isinstance(accepted, RunResult)
         assert accepted.created, "it is a start, not the run that never was"

@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 import zenoh
 
-from service.cell import process
 from service.cell.cell import Cell
-from service.cell.process import alone, attended
+from service.cell.process import attended
 from service.client import CellClient
 from service.drivers.base import Program, StopReason
 from service.drivers.zenoh_sim import ZenohSimDriver
@@ -57,16 +55,6 @@ async def started(cell: Cell) -> str:
     await until(lambda: cell.state in (CellState.APPROACH, CellState.RUNNING, CellState.LATCHED))
     assert cell.journal.latch is None, cell.journal.latch
     return answer.run.id
-
-
-def test_a_second_control_process_on_a_state_directory_is_refused_before_it_touches_it(tmp_path: Path) -> None:
-    with alone(tmp_path / "state"):
-        config = cell_config(tmp_path / "state", policies.still(tmp_path))
-        with pytest.raises(OSError, match=r"another control process uses .*state: stop it, or give"):
-            asyncio.run(process.run(config, ZenohSimDriver("world-1", [free_endpoint()], "real_time")))
-        assert [path.name for path in (tmp_path / "state").iterdir()] == ["lock"]
-    with alone(tmp_path / "state"):
-        pass  # the lock ends with who had it
 
 
 LATENESS_S = 0.1

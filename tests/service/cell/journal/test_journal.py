@@ -11,14 +11,14 @@ def journal_in(directory: Path) -> Journal:
     return Journal(directory, lambda: 100.0)
 
 
-def test_a_latch_whose_file_was_deleted_comes_back_from_the_ledger(tmp_path: Path) -> None:
+async def test_a_latch_whose_file_was_deleted_comes_back_from_the_ledger(tmp_path: Path) -> None:
     journal = journal_in(tmp_path)
     journal.record(run(1, RunState.LATCHED, code=FaultCode.FORCE_CEILING))
     journal.close(5.0)
     again = journal_in(tmp_path)
     assert again.latch is not None
     assert (again.latch.code, again.latch.run_id) == (FaultCode.FORCE_CEILING, "run-1")
-    again.clear_latch_on_disk().result(5.0)
+    await again.clear_latch_on_disk()
     again.tell(EventKind.RESET, CellState.READY, "acknowledged")
     again.close(5.0)
     last = journal_in(tmp_path)
