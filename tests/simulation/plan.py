@@ -269,6 +269,19 @@ def killed_while_latched(plan: Plan, chance: random.Random) -> None:
     _look(plan, chance)
 
 
+def reset_at_any_moment(plan: Plan, chance: random.Random) -> None:
+    """A stop latches; resets come at any moment, among faults, and starts beside them."""
+    start_s = _run(plan, chance)
+    stop_s = start_s + chance.uniform(0.1, 1.5)
+    _stop(plan, stop_s)
+    for _ in range(chance.randint(2, 5)):
+        _reset(plan, stop_s + chance.uniform(-0.05, 0.5))
+    if chance.random() < 0.5:
+        _any_fault(plan, chance, stop_s + chance.uniform(-0.1, 0.4))
+    if chance.random() < 0.5:
+        _run(plan, chance, stop_s + chance.uniform(0.0, 0.5))
+
+
 STORIES: tuple[Story, ...] = (
     plain,
     stop_beside_start,
@@ -282,4 +295,5 @@ STORIES: tuple[Story, ...] = (
     moved_files,
     clock_set,
     killed_while_latched,
+    reset_at_any_moment,
 )

@@ -115,11 +115,11 @@ class Story:
     """Lets the happenings of a plan happen."""
 
     def __init__(self, universe: Universe, judge: Judge, plan: Plan) -> None:
-        self._universe, self._judge, self._plan = universe, judge, plan
+        self.universe, self._judge, self._plan = universe, judge, plan
         self._tasks: list[asyncio.Task[Any]] = []
 
     async def tell(self) -> None:
-        universe, plan = self._universe, self._plan
+        universe, plan = self.universe, self._plan
         await asyncio.sleep(READY_S)
         began_s = universe.loop.time()
         if plan.lie != "honest":
@@ -141,20 +141,20 @@ class Story:
         await asyncio.sleep(seconds)
 
     def _lie(self) -> None:
-        self._universe.note(f"the sensor lies: {self._plan.lie}")
-        self._universe.plant.lie = LIES[self._plan.lie]()
+        self.universe.note(f"the sensor lies: {self._plan.lie}")
+        self.universe.plant.lie = LIES[self._plan.lie]()
 
     def _later(self, seconds: float, call: Callable[[], object]) -> None:
-        self._universe.loop.call_later(seconds, call)
+        self.universe.loop.call_later(seconds, call)
 
     def _ask(self, *request: Any, **details: Any) -> None:
         async def ask() -> None:
-            self._judge.on_answer(await self._universe.request(*request, **details))
+            self._judge.on_answer(await self.universe.request(*request, **details))
 
         self._tasks.append(asyncio.create_task(ask()))
 
     def happen(self, one: Happening) -> None:
-        universe, details = self._universe, one.details
+        universe, details = self.universe, one.details
         seconds = details.get("seconds", 0.0)
         match one.kind:
             case "start":
@@ -183,14 +183,14 @@ class Story:
                 self._spoil_link(one)
 
     def _reset(self, name: str) -> None:
-        cell = self._universe.cell
+        cell = self.universe.cell
         latch = None if cell is None else cell.journal.latch
         if latch is not None:
             body = {"acknowledge": latch.code.value, "comment": "looked", "operator": name}
             self._ask("POST", "/reset", body, kind="reset", name=name)
 
     def _crash(self, one: Happening) -> None:
-        universe, part = self._universe, one.details["part"]
+        universe, part = self.universe, one.details["part"]
         again = {"world": universe.start_world, "control": universe.start_control, "api": universe.start_api}
         if one.kind == "terminate":
             universe.processes[part].signal(15)
@@ -207,12 +207,12 @@ class Story:
             self._later(one.details["again_s"] + (1.0 if one.kind == "terminate" else 0.0), lambda: self._revive(part))
 
     def _revive(self, part: str) -> None:
-        universe = self._universe
+        universe = self.universe
         if not universe.processes[part].alive:
             {"world": universe.start_world, "control": universe.start_control, "api": universe.start_api}[part]()
 
     def _spoil_disk(self, kind: str, seconds: float) -> None:
-        universe, disk = self._universe, self._universe.disk
+        universe, disk = self.universe, self.universe.disk
         if kind == "disk hangs":
             disk.hangs_until = universe.loop.time() + seconds
         elif kind == "disk full":
@@ -229,7 +229,7 @@ class Story:
                 (universe.state_dir / name).unlink(missing_ok=True)
 
     def _spoil_link(self, one: Happening) -> None:
-        universe, details = self._universe, one.details
+        universe, details = self.universe, one.details
         link = universe.network.link(*details["link"])
         now, seconds = universe.loop.time(), details["seconds"]
         if one.kind == "stall":
@@ -243,7 +243,7 @@ class Story:
 
     async def come_to_rest(self) -> None:
         """End every fault, stop, and let the record catch up; then judge it."""
-        universe = self._universe
+        universe = self.universe
         universe.disk.full, universe.disk.latency_s, universe.disk.hangs_until = False, (1e-4, 3e-3), 0.0
         universe.host.database_busy_until = universe.host.inference_hangs_until = 0.0
         for link in universe.network.links.values():
