@@ -53,9 +53,9 @@ class Holding:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._word = 0
+        self._word = self._brake = 0
         self._heard_at = 0.0
-        self._command_seq = self._request_seq = 0
+        self._command_seq = self._request_seq = self._brake_seq = 0
         self.holder: Holder | None = None
         self.number = 0
         self.refused = 0
@@ -65,7 +65,8 @@ class Holding:
 
         Args:
             parameters: `client=…`, the word of an earlier claim, to renew that one.
-            payload: JSON object `{"cell": …, "host": …, "pid": …}`.
+            payload: JSON object `{"cell": …, "host": …, "pid": …, "brake": …}`. Stops under the word `brake` are
+                obeyed as well: the claimant's watchdog, a process of its own, has it.
 
         Returns:
             JSON object with the word, `client`, and with `refused`.
@@ -73,7 +74,7 @@ class Holding:
         Raises:
             RequestError: another client holds the world, or the claim cannot be read.
         """
-        claimant = _read_holder(payload)
+        claimant, brake = _read_claim(payload)
         word = _whole(read_parameters(parameters, "client=… of an earlier claim, or none", "client"), "client")
         if not self._is_held_by(word):
             if self.is_held and self.holder is not None:
@@ -83,8 +84,8 @@ class Holding:
                     "end it, or give this cell a simulator of its own (sim.endpoint)"
                 )
             self._word = secrets.randbits(63) | 1
-            self._command_seq = self._request_seq = 0
-            self.holder = claimant
+            self._command_seq = self._request_seq = self._brake_seq = 0
+            self.holder, self._brake = claimant, brake
             self.number += 1
         self._heard_at = self._clock()
         return json.dumps({"client": self._word, "refused": self.refused}).encode()
@@ -96,7 +97,7 @@ class Holding:
             RequestError: as `check`.
         """
         self.check(read_parameters(parameters, SIGNATURE, *SIGNED), "release")
-        self.holder, self._word = None, 0
+        self.holder, self._word, self._brake = None, 0, 0
 
     def check(self, parameters: Mapping[str, str], request: str) -> None:
         """Check that a request is the holder's and new.
@@ -125,8 +126,12 @@ class Holding:
         Args:
             command: one record of `records.COMMAND`.
         """
-        if self._is_held_by(int(command["client"])):
-            seq = int(command["seq"])
+        client, seq = int(command["client"]), int(command["seq"])
+        if command["kind"] == Kind.STOP and self._brake and client == self._brake:
+            if seq > self._brake_seq:
+                self._brake_seq = seq
+                return True
+        elif self._is_held_by(client):
             if seq > self._command_seq:
                 self._command_seq = seq
                 self._heard_at = self._clock()
@@ -154,11 +159,13 @@ def _whole(parameters: Mapping[str, str], name: str) -> int:
     return int(value) if value.isascii() and value.isdigit() and len(value) <= 19 else 0
 
 
-def _read_holder(payload: bytes) -> Holder:
+def _read_claim(payload: bytes) -> tuple[Holder, int]:
     document = read_object(payload, "claim")
-    cell, host, pid = (document.get(name) for name in ("cell", "host", "pid"))
-    if not (isinstance(cell, str) and isinstance(host, str) and isinstance(pid, int)) or len(document) != 3:
+    cell, host, pid, brake = (document.pop(name, 0) for name in ("cell", "host", "pid", "brake"))
+    if document or not (isinstance(cell, str) and isinstance(host, str) and isinstance(pid, int)):
         raise RequestError('claim: the payload must be {"cell": text, "host": text, "pid": number}')
+    if not isinstance(brake, int) or not 0 <= brake < 2**63:
+        raise RequestError("claim: brake is a number below 2**63, or left out")
     if max(len(cell), len(host)) > _TEXT_LENGTH or not (cell + host).isprintable():
         raise RequestError(f"claim: cell and host are printable, at most {_TEXT_LENGTH} characters each")
-    return Holder(cell, host, pid)
+    return Holder(cell, host, pid), brake

@@ -11,6 +11,9 @@ from wire.arrays import RecordArray
 from wire.law import ComplianceLaw, ControlLimits
 from wire.task import Task
 
+BRAKE_WORD = secrets.randbits(63) | 1
+"""Word of this process's watchdog, which may stop the simulated world that this process holds, and nothing else."""
+
 
 def read_sample(record: RecordArray, arrival_s: float) -> Sample:
     """Turn one state into a sample that shares no memory with it.

@@ -13,21 +13,25 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Protocol, Self, assert_never
 
 import zenoh
 
 from service.config import CellConfig
-from service.drivers.sim_wire import CommandWriter
+from service.drivers.sim_wire import BRAKE_WORD, CommandWriter
 from service.logs import log_writer
 from wire import keys
 from wire.session import open_session
+from wire.tls import Certificates
 
 REPEAT_S = 0.05
 """Time between two stops, s."""
 LAST_STOPS = 20
 """Stops after the end of the pipe; a command may be lost."""
 CONNECT_S = 0.25
+WORD_VARIABLE = "DSL_ASSEMBLY_BRAKE_WORD"
+"""Environment variable with the word under which a simulated world obeys the watchdog."""
 _IDLE, _ARMED = b"\0", b"\1"
 
 
@@ -43,11 +47,14 @@ class ZenohBrake:
     Args:
         world: name of the world in its keys.
         endpoint: of its server.
+        *files: of the certificates, where the endpoint is encrypted.
     """
 
-    def __init__(self, world: str, endpoint: str) -> None:
+    def __init__(self, world: str, endpoint: str, *files: str) -> None:
         self._commands = CommandWriter()
-        self._session = open_session(connect=[endpoint])  # closed as soon as nobody refers to it
+        self._commands.client = int(os.environ[WORD_VARIABLE])
+        certificates = Certificates(*map(Path, files)) if files else None
+        self._session = open_session((), [endpoint], certificates)  # closed as soon as nobody refers to it
         self._publisher = self._session.declare_publisher(
             keys.COMMAND.format(world=world),
             congestion_control=zenoh.CongestionControl.DROP,
@@ -85,7 +92,9 @@ def brake_of(config: CellConfig) -> tuple[str, ...]:
     """Return the arguments that name the brake of a cell's arm."""
     match config.cell.driver:
         case "zenoh_sim":
-            return "zenoh", config.sim.world, config.sim.endpoint
+            files = config.certificates
+            names = () if files is None else (str(files.authority), str(files.certificate), str(files.key))
+            return "zenoh", config.sim.world, config.sim.endpoint, *names
         case "ur":
             return () if config.ur is None else ("dashboard", config.ur.host, str(config.ur.dashboard_port))
         case _ as never:
@@ -111,6 +120,7 @@ class Watchdog:
                 [sys.executable, "-P", "-m", "service.drivers.watchdog", str(read), str(limit_s), *brake],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
+                env=os.environ | {WORD_VARIABLE: str(BRAKE_WORD)},  # other users can read arguments
                 pass_fds=(read,),
                 start_new_session=True,  # it outlives this process by some stops
             )

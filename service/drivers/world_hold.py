@@ -10,6 +10,7 @@ from collections.abc import Callable
 import zenoh
 
 from service.drivers.base import DriverError
+from service.drivers.sim_wire import BRAKE_WORD
 from service.faults import FaultCode
 from service.program import PROGRAM
 from wire import keys
@@ -39,7 +40,8 @@ class WorldHold:
     def __init__(self, world: str, name: str, cell: str) -> None:
         self._world = world
         self._name = name
-        self.claimant = json.dumps({"cell": cell, "host": socket.gethostname()[:64], "pid": os.getpid()}).encode()
+        who = {"cell": cell, "host": socket.gethostname()[:64], "pid": os.getpid(), "brake": BRAKE_WORD}
+        self.claimant = json.dumps(who).encode()
         self._seq = 0
         self._refused = 0
         self.word = 0

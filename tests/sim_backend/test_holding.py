@@ -92,6 +92,18 @@ def test_a_stop_is_anyones_where_no_holder_is_heard(holding: Holding, clock: Clo
     assert holding.admits(command(Kind.STOP, 5, 0))
 
 
+def test_the_holders_watchdog_may_stop_and_nothing_else(holding: Holding) -> None:
+    document = b'{"cell": "left", "host": "bench", "pid": 7, "brake": 99}'
+    word = json.loads(holding.claim("", document))["client"]
+    assert not holding.admits(command(Kind.ENGAGE, 99, 1))
+    assert holding.admits(command(Kind.STOP, 99, 1))
+    assert not holding.admits(command(Kind.STOP, 99, 1)), "a copy"
+    assert holding.admits(command(Kind.STOP, 99, 2))
+    holding.release(f"client={word};seq=1")
+    claim(holding, "right")
+    assert not holding.admits(command(Kind.STOP, 99, 3)), "it was the watchdog of another"
+
+
 def test_70_a_request_of_another_or_a_copy_is_refused(holding: Holding) -> None:
     with pytest.raises(RequestError, match="nobody holds this world"):
         holding.check({"client": "0", "seq": "1"}, "reset")

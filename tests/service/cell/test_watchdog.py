@@ -16,12 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zenoh
 
 from service.cell.lateness import Lateness
 from service.client import CellClient
 from service.drivers.base import Program, Sample
+from service.drivers.sim_wire import read_sample
 from service.drivers.watchdog import Watchdog, brake_of
-from service.drivers.zenoh_sim import ZenohSimDriver
 from service.faults import FaultCode
 from service.messages import CellState, Counters, Latch, StartRequest
 from service.notify import Notifier
@@ -29,8 +30,10 @@ from tests.service.cell.conftest import EASY
 from tests.service.cell.test_process import configured, control_process, until
 from tests.service.drivers.ur.emulated import emulated, ur_cell_config
 from tests.service.sim_server import free_endpoint, sim_process
+from wire import keys, records
 from wire.records import StopReason
 from wire.rtde.modes import RuntimeState
+from wire.session import close_session, open_session
 from wire.task import Task
 
 SAMPLE_AGE_S = 0.25
@@ -43,10 +46,9 @@ class Witness:
     def __init__(self) -> None:
         self.samples: list[Sample] = []
 
-    def on_sample(self, sample: Sample) -> None:
-        self.samples.append(sample)
-
-    def on_link_fault(self, code: FaultCode, text: str) -> None: ...
+    def keep(self, state: zenoh.Sample) -> None:
+        record = records.decode(state.payload.to_bytes(), records.STATE)
+        self.samples.append(read_sample(record, time.monotonic()))
 
     def engaged(self) -> bool:
         return bool(self.samples) and self.samples[-1].program is Program.ENGAGED
@@ -93,15 +95,15 @@ async def running(tmp_path: Path) -> AsyncIterator[Stand]:
     )
     with sim_process(sim):
         async with control_process(path, endpoint) as (process, client):
-            observer, witness = ZenohSimDriver("world-1", [sim], "real_time"), Witness()
-            await observer.connect(witness)
+            session, witness = await asyncio.to_thread(open_session, (), [sim]), Witness()
+            session.declare_subscriber(keys.STATE.format(world="world-1"), witness.keep)
             try:
                 await client.start(StartRequest(recipe="triangle-2mm", seed=EASY))
                 await until(lambda: client.state is CellState.RUNNING and witness.engaged())
                 yield Stand(process, client, witness)
             finally:
                 process.send_signal(signal.SIGCONT)
-                await observer.close()
+                await asyncio.to_thread(close_session, session)
 
 
 async def test_50_a_loop_that_hangs_in_a_run_is_stopped_from_outside(tmp_path: Path) -> None:
