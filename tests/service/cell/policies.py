@@ -41,6 +41,14 @@ def straight(folder: Path, **changes: object) -> Path:
     return save(folder / "straight.onnx", linear_model(asked, weights=weights))
 
 
+def sideways(folder: Path, **changes: object) -> Path:
+    """Pushes along x from the first contact on, wherever that leads."""
+    asked = document(**({"observation": (ObservationEntry.of("contact_height_known"),)} | changes))
+    weights = np.zeros((asked.observation_size, len(asked.action)))
+    weights[0, 0] = 5.0
+    return save(folder / "sideways.onnx", linear_model(asked, weights=weights))
+
+
 def hanging(folder: Path, when: str, **changes: object) -> Path:
     """Asks for nothing and never ends: at every inference (`load`), the `first` one of a run, or a `later` one."""
     return save(folder / "hanging.onnx", hanging_model(document(hidden_size=1, **changes), when))
