@@ -56,7 +56,7 @@ async def test_a_latched_cell_refuses_a_start_with_the_code(api: Api, cell: Wire
     assert (problem["code"], problem["reason"], problem["state"]) == ("FORCE_CEILING", "LATCHED", "LATCHED")
 
 
-async def test_a_policy_that_does_not_fit_is_422_with_the_mismatch(api: Api, cell: WireCell) -> None:
+async def test_27_a_policy_that_does_not_fit_is_422_with_the_mismatch(api: Api, cell: WireCell) -> None:
     cell.refuse_start = Problem(
         reason=RefusalReason.POLICY_REFUSED,
         detail="the policy wants hole_position, the cell has no camera",
