@@ -24,7 +24,7 @@ NOT_CONFIRMED_TEXT = (
     "If the robot moves, use the robot's own emergency stop."
 )
 STOP_SILENT_TEXT = f"NOT CONFIRMED: the stop was not delivered. {SILENT_TEXT}"
-STOPPED_TEXT = "A stop came after this start had been received: look at the cell, then start again."
+STOPPED_TEXT = "A stop came after this start had been received: look at the cell, then start again, under a new key."
 
 
 @router.post(
