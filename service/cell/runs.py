@@ -9,26 +9,18 @@ from typing import Protocol
 import structlog
 
 from service.cell.inference import HeldPolicy, Inference
-from service.cell.insertion import Insertion, Stage
+from service.cell.insertion import Insertion
 from service.cell.journal import Journal
 from service.cell.orders import Disengage, Engage, Fail, Halt, Infer, Move, Order, Succeed, ZeroFt
 from service.cell.plan import Plan
+from service.cell.stages import STATE_IN, Stage
 from service.cell.tick_record import TickRecord
 from service.drivers.base import Driver, Sample
 from service.faults import FaultCode
 from service.messages import CellState, Run, RunState, StartRequest
 from service.policy.model import PolicyError, PolicyFault
+from service.safety.witness import Witness
 from wire.arrays import Float32Array
-
-STATE_IN: dict[Stage, CellState] = {
-    Stage.ZEROING: CellState.PREFLIGHT,
-    Stage.CHECKING: CellState.PREFLIGHT,
-    Stage.ENGAGING: CellState.APPROACH,
-    Stage.APPROACHING: CellState.APPROACH,
-    Stage.INSERTING: CellState.RUNNING,
-    Stage.RETRACTING: CellState.RETRACT,
-}
-"""The cell's state in each stage of an insertion."""
 
 _log = structlog.get_logger("service.cell")
 
@@ -192,6 +184,12 @@ class Runs:
         self._last: Run | None = None
         self._begun_s = 0.0
         self.active: ActiveRun | None = None
+
+    @property
+    def witness(self) -> Witness | None:
+        """Witness of the contact in the run under way; None without one."""
+        insertion = None if self.active is None else self.active.insertion
+        return None if insertion is None else insertion.witness
 
     @property
     def active_id(self) -> str | None:
