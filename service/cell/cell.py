@@ -117,6 +117,11 @@ class Cell:
         return self._states.state
 
     @property
+    def policies_settled(self) -> bool:
+        """True once every policy is loaded or refused; until then a start may have to wait."""
+        return self._starting.policies_settled
+
+    @property
     def newest_sample(self) -> Sample | None:
         return self._intake.sample
 

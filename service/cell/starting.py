@@ -13,7 +13,7 @@ from service.cell.journal import Journal
 from service.cell.plan import plan_insertion
 from service.cell.policies import Admitted, PolicyRefusedError, PolicyShelf
 from service.cell.runs import ActiveRun, RunHost, Runs
-from service.config import CellConfig, RecipeSection
+from service.config import CellConfig, RecipeSection, why_edited
 from service.drivers.base import Driver, DriverError
 from service.faults import FaultCode
 from service.messages import (
@@ -113,6 +113,11 @@ class Starting:
         self._deciding = asyncio.create_task(self._decide(request), name="start")
         return await asyncio.shield(self._deciding)
 
+    @property
+    def policies_settled(self) -> bool:
+        """True once every policy is loaded or refused; until then a start may have to wait."""
+        return self._policies.settled
+
     def cancel(self) -> None:
         """Give up the start and the preparation under way."""
         for task in (self._deciding, self._preparation):
@@ -132,6 +137,8 @@ class Starting:
             self._deciding = None
 
     async def _decide_alone(self, request: StartRequest) -> RunResult | Refused:
+        if (edited := await asyncio.to_thread(why_edited, self._config)) is not None:
+            return refused(self._host.state, RefusalReason.WRONG_STATE, edited)
         try:
             policy = await asyncio.to_thread(self._policies.admit, request.recipe)
         except PolicyRefusedError as error:
