@@ -65,13 +65,16 @@ class View:
     def render(self) -> Table:
         """Draw what was taken in."""
         run: dict[str, Any] = self.status.get("run") or {}
-        ceiling_n = self.status.get("force_ceiling_n") or 1.0
+        ceiling_n = self.status.get("force_ceiling_n")
         force_n = self.frame.get("force_peak_n", 0.0)
         state = self.status.get("state", "…")
         table = Table.grid(padding=(0, 2))
         table.add_row("state", Text(state, style=f"bold {COLOURS.get(state, '')}"), f"step {run.get('steps', 0)}")
-        bar = ProgressBar(total=ceiling_n, completed=min(force_n, ceiling_n), width=40)
-        table.add_row("force", bar, f"{force_n:5.1f} N of {ceiling_n:.0f}")
+        if ceiling_n is None:
+            table.add_row("force", f"{force_n:5.1f} N", "the ceiling in force is not known")
+        else:
+            bar = ProgressBar(total=ceiling_n, completed=min(force_n, ceiling_n), width=40)
+            table.add_row("force", bar, f"{force_n:5.1f} N of {ceiling_n:.0f}")
         table.add_row(
             "depth",
             millimetres(self.frame.get("depth_m")),

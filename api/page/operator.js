@@ -44,7 +44,7 @@ function show() {
   setText("fz", number(measured?.force_n[2], 1));
   setText("speed", number(measured && 1e3 * measured.tcp_speed_m_s, 1));
   setText("sample-age", number(measured && 1e3 * measured.sample_age_s, 0));
-  if (state === "UNKNOWN") setText("depth", "–");
+  if (state === "UNKNOWN") for (const id of ["depth", "ceiling"]) setText(id, "–");
   setText("latch", state === "LATCHED" && status.latch
     ? `${status.latch.code} since ${clock(status.latch.latched_at)}` : "Nothing is latched.");
   if (state === "UNKNOWN") setText("latch", "Not known.");
@@ -124,10 +124,8 @@ function openJournal() {
   source.addEventListener("status", (message) => {
     status = JSON.parse(message.data);
     heardAt = performance.now();
-    if (status.force_ceiling_n !== null) {
-      plots.ceiling = status.force_ceiling_n;
-      setText("ceiling", number(status.force_ceiling_n, 0));
-    }
+    plots.ceiling = status.force_ceiling_n;
+    setText("ceiling", number(status.force_ceiling_n, 0));
     if (status.driver !== null) setText("driver", `${status.driver}${status.mode === "lockstep" ? ", lockstep" : ""}`);
     const run = `${status.run?.id} ${status.run?.state}`;
     if (run !== shownRun) {

@@ -26,7 +26,7 @@ export class LivePlots {
   add(frame) {
     const last = this.frames.at(-1);
     if (last && (frame.t <= last.t || frame.t - last.t > WINDOW_S)) this.frames.length = 0; // the arm's clock restarted
-    this.frames.push(frame);
+    this.frames.push({ ...frame, ceiling: this.ceiling }); // the one in force when it was measured
     while (this.frames[0].t < frame.t - WINDOW_S) this.frames.shift();
     this.dirty = true;
   }
@@ -41,7 +41,7 @@ export class LivePlots {
       t,
       this.frames.map((frame) => frame.force_peak_n),
       this.frames.map((frame) => frame.force_n[2]),
-      t.map(() => this.ceiling),
+      this.frames.map((frame) => frame.ceiling),
     ]);
     this.depth.setData([
       t,

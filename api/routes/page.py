@@ -27,7 +27,6 @@ async def page(runtime: RuntimeDependency) -> HTMLResponse:
             mark="?",
             reason="Connecting. The robot's state is not known here yet.",
             driver=escape(config.cell.driver),
-            ceiling=f"{config.limits.force_ceiling_n:.0f}",
             recipes="".join(f"<option>{escape(name)}</option>" for name in config.recipes),
         )
     )

@@ -3,11 +3,16 @@
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from service.cell import report
 from service.cell.states import StateMachine
-from service.config import CellConfig, LimitsSection
+from service.config import CellConfig, LimitsSection, RecipeSection
 from service.drivers.base import Program, Sample
 from service.messages import CellState, Latch, Problem, RefusalReason, Refused, ResetRequest, StartRequest, StopMark
+from service.safety.pose import yaw_and_tilt
+from service.safety.preflight import PreflightParameters, check_start_pose
+from service.safety.verdict import Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +86,7 @@ def _why_not_this_start(
 ) -> Problem | None:
     if request.after is not None and request.after != situation.mark:
         since = "a stop came" if request.after.service_epoch == situation.mark.service_epoch else "the cell restarted"
-        text = f"{since} after this start had been received: look at the cell, then start again"
+        text = f"{since} after this start had been received: look at the cell, then start again, under a new key"
         return situation.problem(RefusalReason.STOPPED, text)
     if request.valid_until is not None and situation.clock_s > request.valid_until:
         text = "the start could not be decided before its valid_until: ask again"
@@ -91,7 +96,19 @@ def _why_not_this_start(
         return situation.problem(RefusalReason.UNKNOWN_RECIPE, text, "recipe")
     if request.seed is not None and not simulated:
         return situation.problem(RefusalReason.INVALID_REQUEST, "a real arm has no seed: leave it out", "seed")
+    # The arm of a simulated world is laid out at its start pose
+    if not simulated and situation.sample is not None:
+        verdict = _check_pose(situation.sample, config.recipes[request.recipe], config)
+        if verdict.fault is not None:
+            return situation.problem(RefusalReason.WRONG_STATE, verdict.text)
     return None
+
+
+def _check_pose(sample: Sample, recipe: RecipeSection, config: CellConfig) -> Verdict:
+    yaw, tilt = yaw_and_tilt(sample.tcp_rotvec)
+    parameters = PreflightParameters(**config.preflight.model_dump())
+    start = np.array(recipe.start_position_m)
+    return check_start_pose(parameters, sample.tcp_position, float(yaw), tilt, start, recipe.start_yaw_rad)
 
 
 def why_not_reset(situation: Situation, request: ResetRequest, limits: LimitsSection) -> Problem | None:

@@ -13,6 +13,7 @@ import structlog
 
 from service.cell import report
 from service.cell.admission import Situation, why_not_start
+from service.cell.idle_arm import IdleArm
 from service.cell.inference import InferenceKind, InProcessPolicy
 from service.cell.intake import UNBELIEVED, Intake
 from service.cell.journal import Journal
@@ -102,6 +103,7 @@ class Cell:
         )
         self._intake = Intake(config.limits, driver.clock)
         self._standstill = Standstill(driver, config.limits.stop_confirm_s)
+        self._idle_arm = IdleArm(config.limits.stop_confirm_s)
         self._starting = Starting(config, driver, opener, self.journal, self.runs, self._intake, self)
         self._resetting = Resetting(config.limits, driver, self.journal, self._intake, self)
         self._states = StateMachine(CellState.OFFLINE if self.journal.latch is None else CellState.LATCHED)
@@ -113,6 +115,11 @@ class Cell:
     @property
     def state(self) -> CellState:
         return self._states.state
+
+    @property
+    def policies_settled(self) -> bool:
+        """True once every policy is loaded or refused; until then a start may have to wait."""
+        return self._starting.policies_settled
 
     @property
     def newest_sample(self) -> Sample | None:
@@ -165,6 +172,7 @@ class Cell:
             self.runs.active.on_sample(sample)
         else:
             self._standstill.repeat_stop(sample)  # no run drives the arm
+            self._mind_idle_arm(sample)
         if self._intake.accepted % TELEMETRY_TICKS == 0:
             self._send_telemetry(sample)
 
@@ -174,6 +182,15 @@ class Cell:
         if verdict.fault is not None:
             self.halt(verdict.fault, verdict.text)
         self._conclude(self._standstill.on_sample(sample))
+
+    def _mind_idle_arm(self, sample: Sample) -> None:
+        notice = self._idle_arm.observe(sample)
+        if notice is None:
+            return
+        if notice.driven and self.state is CellState.READY:
+            self.halt(FaultCode.AUTHORITY, notice.text)
+        else:
+            self.on_notice(notice.text)
 
     # --- stopping
 
@@ -267,6 +284,7 @@ class Cell:
             self.halt(FaultCode.LINK, "the link to the arm was made anew under a run")
             return
         self._intake.renew()
+        self._idle_arm.forget()
         self._link_text = "connected, no sample yet"
         self.unlinked.clear()
         if self.state is CellState.OFFLINE:
@@ -380,6 +398,7 @@ class Cell:
     def enter_world(self, force_ceiling_n: float) -> None:
         """Expect samples of the prepared world, under this force ceiling."""
         self._intake.renew(force_ceiling_n)
+        self._idle_arm.forget()
         if self.state is CellState.STOPPING:
             self._standstill.begin()
 

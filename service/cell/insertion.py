@@ -6,7 +6,6 @@ Every sample that the monitor has passed goes in; orders come out, in the order 
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -14,15 +13,18 @@ import numpy.typing as npt
 
 from service.cell.arm_stops import why_not_drive
 from service.cell.orders import Disengage, Engage, Fail, Halt, Infer, Move, Order, Succeed, ZeroFt
-from service.cell.path import Progress, StraightPath
-from service.cell.plan import Plan
+from service.cell.path import Progress, StraightPath, within_step
+from service.cell.plan import PATH_TICKS, PROBE_SAMPLES, Plan
 from service.cell.rest import Rest
+from service.cell.stages import DRIVEN, Stage
 from service.cell.tick_record import TickRecord
 from service.drivers.base import PoseTarget, Program, Sample
 from service.faults import FaultCode
 from service.policy.step import Seen
 from service.safety import dsl, preflight
 from service.safety.pose import rotvec_from_yaw, yaw_and_tilt
+from service.safety.probe import Answer, Probe
+from service.safety.seating import Finding, Seat, Seating
 from service.safety.stop import STANDSTILL_M_S
 from service.safety.witness import Witness
 from wire.arrays import Float32Array, FloatArray
@@ -35,29 +37,12 @@ STANDSTILL_TICKS = 1000
 """Samples in which the arm must come to rest, its program idle, before the sensor is zeroed."""
 ENGAGE_TICKS = 250
 """Samples in which the arm must engage."""
-APPROACH_TICKS = 5
-"""Samples between two targets of a scripted move."""
 SAFE_RISE_M = 0.01
 """Height of the crossing above the higher of start and hover, m."""
 OUTRAGEOUS_ACTION = 10.0
 """Multiple of an action's limit that counts towards `clamped_steps`; trained policies stay within a few times."""
 OUTRAGEOUS_CHANGE = 3.0
 """Multiple of the allowed change of target that counts as well."""
-SUCCESS_STEPS = 2
-"""Policy steps in a row below `success_depth_m` that count as inserted."""
-SURFACE_DOUBT_M = 2.5e-3
-"""A first contact further than this from the estimated surface is not the surface: the tip was already in the hole."""
-
-
-class Stage(StrEnum):
-    """Stages of an insertion, in their order."""
-
-    ZEROING = "ZEROING"
-    CHECKING = "CHECKING"
-    ENGAGING = "ENGAGING"
-    APPROACHING = "APPROACHING"
-    INSERTING = "INSERTING"
-    RETRACTING = "RETRACTING"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +88,9 @@ class Insertion:
         self._state = plan.step.begin(plan.start_position, plan.start_yaw)
         self._asked: Asked | None = None
         self._outrageous = 0
-        self._deep_steps = 0
+        self._seating = Seating(plan.seating)
+        self._doubt: tuple[Seat, Probe] | None = None
+        self._sent: tuple[FloatArray, float] | None = None
         self._started_s: float | None = None
         self._ended_s: float | None = None
         self.steps = 0
@@ -154,8 +141,7 @@ class Insertion:
     def _advance(self, sample: Sample) -> Iterator[Order]:
         if self._ended:
             return
-        driven = self._stage in (Stage.APPROACHING, Stage.INSERTING, Stage.RETRACTING)
-        if (halt := why_not_drive(sample, engaged=driven)) is not None:
+        if (halt := why_not_drive(sample, engaged=self._stage in DRIVEN)) is not None:
             yield self._halt(halt.code, halt.text)
             return
         if self.witness is not None and (verdict := self.witness.check(sample.wrench, sample.joint_force)).fault:
@@ -175,6 +161,8 @@ class Insertion:
                 yield from self._approach(sample)
             case Stage.INSERTING:
                 yield from self._insert(sample)
+            case Stage.PROBING:
+                yield from self._ask_walls(sample)
             case Stage.RETRACTING:
                 yield from self._retract(sample)
 
@@ -260,7 +248,7 @@ class Insertion:
             yield self._halt(FaultCode.LINK, "the arm did not engage: does another client hold it?")
 
     def _approach(self, sample: Sample) -> Iterator[Order]:
-        if (sample.seq - self._stage_seq) % APPROACH_TICKS == 0:
+        if (sample.seq - self._stage_seq) % PATH_TICKS == 0:
             yield self._advance_path(sample)
         match self._path.progress(sample):
             case Progress.ARRIVED:
@@ -274,7 +262,9 @@ class Insertion:
 
     def _insert(self, sample: Sample) -> Iterator[Order]:
         ticks = sample.seq - self._stage_seq
-        if self._asked is not None:
+        if (text := self._plan.seating.why_stray(self._hole, sample.tcp_position)) is not None:
+            yield from self._fail(FaultCode.BOUNDS, text, sample)
+        elif self._asked is not None:
             if sample.time_s - self._asked.sample.time_s >= self._plan.policy_deadline_s:
                 text = f"no action within {self._plan.policy_deadline_s * 1e3:g} ms; the last target was held"
                 yield self._halt(FaultCode.POLICY_DEADLINE, text)
@@ -284,8 +274,20 @@ class Insertion:
             self._stage_seq = sample.seq if late else self._stage_seq + self._plan.step.ticks
             yield from self._observe(sample)
 
+    def _ask_walls(self, sample: Sample) -> Iterator[Order]:
+        if self._doubt is None or (sample.seq - self._stage_seq) % PATH_TICKS:
+            return
+        seat, probe = self._doubt
+        force = np.array(self._window)[-PROBE_SAMPLES:, :3].mean(0)
+        if (answer := probe.advance(sample.tcp_position, force)) is Answer.HELD:
+            yield from self._succeed(seat.depth_m, sample)
+        elif answer is Answer.UNDER_WAY:
+            yield self._scripted(probe.target, probe.yaw)
+        else:
+            yield from self._fail(FaultCode.SEARCH_LIMIT, f"{seat.text}; {probe.text}", sample)
+
     def _retract(self, sample: Sample) -> Iterator[Order]:
-        if (sample.seq - self._stage_seq) % APPROACH_TICKS == 0:
+        if (sample.seq - self._stage_seq) % PATH_TICKS == 0:
             yield self._advance_path(sample)
         # A peg that sticks does not fail the run: the operator sees it, and the arm stands still in either case
         if self._path.progress(sample) is not Progress.UNDER_WAY:
@@ -331,8 +333,8 @@ class Insertion:
             text = f"the action {action.tolist()} leads to no pose; nothing was sent"
             yield self._halt(FaultCode.POLICY_INVALID, text)
             return
-        order = _move(bounded.position, float(bounded.yaw))
-        depth = self._depth(sample)
+        order = self._move(bounded.position, float(bounded.yaw))
+        seat, settled = self._seating.observe(self._hole, float(self._state.lock.z_contact0), sample.tcp_position)
         self.last = TickRecord(
             step=self.steps,
             sample=sample,
@@ -342,7 +344,7 @@ class Insertion:
             dsl=decision.locked,
             bounded=bounded,
             target=order.target,
-            depth_m=depth,
+            depth_m=seat.depth_m,
         )
         self.steps += 1
         if bool(bounded.tilt):
@@ -358,15 +360,23 @@ class Insertion:
             yield self._halt(FaultCode.BOUNDS, f"{self._outrageous} outrageous steps in a row, the last with {text}")
             return
         yield order
-        yield from self._judge(sample, decision.locked, depth)
+        if settled:
+            yield from self._conclude(seat, sample)
+        else:
+            yield from self._judge(sample, decision.locked)
 
-    def _judge(self, sample: Sample, locked: dsl.DslOutput, depth: float) -> Iterator[Order]:
+    def _conclude(self, seat: Seat, sample: Sample) -> Iterator[Order]:
+        """Act on a finding about the peg's seat."""
+        if seat.finding is Finding.SEATED:
+            yield from self._succeed(seat.depth_m, sample)
+        elif seat.finding is Finding.CONTRADICTED:
+            yield from self._fail(FaultCode.BOUNDS, seat.text, sample)
+        else:
+            self._doubt = seat, Probe(self._plan.probe, sample.tcp_position, float(yaw_and_tilt(sample.tcp_rotvec)[0]))
+            self._go(Stage.PROBING, sample)
+
+    def _judge(self, sample: Sample, locked: dsl.DslOutput) -> Iterator[Order]:
         plan = self._plan
-        self._deep_steps = self._deep_steps + 1 if depth > plan.success_depth_m else 0
-        if self._deep_steps >= SUCCESS_STEPS:
-            yield Succeed(depth)
-            yield from self._begin_retract(sample)
-            return
         if bool(locked.search_depth_exceeded):
             text = f"no contact within {plan.step.lock.search_depth_m * 1e3:g} mm"
         elif bool(locked.search_time_exceeded):
@@ -376,13 +386,6 @@ class Insertion:
         else:
             return
         yield from self._fail(FaultCode.SEARCH_LIMIT, text, sample)
-
-    def _depth(self, sample: Sample) -> float:
-        contact = float(self._state.lock.z_contact0)
-        surface = float(self._hole[2])
-        if np.isfinite(contact) and (not self._plan.uses_estimate or abs(contact - surface) < SURFACE_DOUBT_M):
-            surface = contact
-        return surface - float(sample.tcp_position[2])
 
     # --- ends
 
@@ -394,9 +397,13 @@ class Insertion:
         self._ended, self._ended_s = True, ended_s
         return Disengage()
 
+    def _succeed(self, depth_m: float, sample: Sample) -> Iterator[Order]:
+        yield Succeed(depth_m)
+        yield from self._begin_retract(sample)
+
     def _fail(self, code: FaultCode, text: str, sample: Sample | None = None) -> Iterator[Order]:
         yield Fail(code, text)
-        if self._stage in (Stage.APPROACHING, Stage.INSERTING):
+        if self._stage in DRIVEN:
             yield from self._begin_retract(sample)
         else:
             yield self._disengage(None)
@@ -420,12 +427,18 @@ class Insertion:
 
     def _plan_path(self, waypoints: list[FloatArray], yaw: float, sample: Sample) -> StraightPath:
         """Lay out a path from where the arm is measured."""
-        period_s, speed_m_s = APPROACH_TICKS * self._plan.tick_s, self._plan.approach_speed_m_s
+        period_s, speed_m_s = PATH_TICKS * self._plan.tick_s, self._plan.approach_speed_m_s
         return StraightPath.plan(sample.tcp_position, yaw, waypoints, speed_m_s, period_s, sample.time_s)
 
     def _advance_path(self, sample: Sample) -> Move:
-        return _move(self._path.advance(sample.tcp_position, self._plan.step.bounds.leash_m), self._path.yaw)
+        return self._scripted(self._path.advance(sample.tcp_position, self._plan.step.bounds.leash_m), self._path.yaw)
 
+    def _scripted(self, position: FloatArray, yaw: float) -> Move:
+        """Order a scripted target; the arm refuses one that is far from the last, which may lie at its full leash."""
+        if self._sent is not None:
+            position, yaw = within_step(position, yaw, *self._sent, self._plan.limits.max_step)
+        return self._move(position, yaw)
 
-def _move(position: FloatArray, yaw: float) -> Move:
-    return Move(PoseTarget(position, rotvec_from_yaw(yaw)))
+    def _move(self, position: FloatArray, yaw: float) -> Move:
+        self._sent = position, yaw
+        return Move(PoseTarget(position, rotvec_from_yaw(yaw)))

@@ -58,7 +58,7 @@ class Intake:
 
     def judge_alone(self, sample: Sample) -> Verdict:
         """Judge a sample without regard to earlier ones; keep nothing of it."""
-        return _check(Monitor(plan_monitor(self._limits, self._limits.force_ceiling_n)), sample)
+        return _check(Monitor(plan_monitor(self._limits, self.force_ceiling_n)), sample)
 
     def renew(self, force_ceiling_n: float | None = None) -> None:
         """Expect another source or another world: the next sample is the first.

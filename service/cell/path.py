@@ -4,15 +4,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
+from math import copysign
 
 import numpy as np
 
 from service.drivers.base import Sample
+from service.safety.pose import wrap
 from wire.arrays import FloatArray
 
 ARRIVAL_M = 5e-3
 """Distance of the measured TCP from the end that counts as arrived; a biased sensor holds a compliant arm off."""
 ARRIVAL_SPEED_M_S = 5e-3
+STEP_SHARE = 0.999
+"""Share of the arm's step limit that a scripted target uses, because the arm's own arithmetic rounds."""
 PATIENCE_S = 3.0
 """Allowance beyond twice the path's length over its speed, because the target waits for the arm at its leash."""
 
@@ -102,3 +106,25 @@ class StraightPath:
         if at_end and near and float(np.linalg.norm(sample.tcp_velocity[:3])) < ARRIVAL_SPEED_M_S:
             return Progress.ARRIVED
         return Progress.OVERDUE if sample.time_s > self.deadline_s else Progress.UNDER_WAY
+
+
+def within_step(
+    position: FloatArray, yaw: float, last: FloatArray, last_yaw: float, max_step: tuple[float, float]
+) -> tuple[FloatArray, float]:
+    """Return a target, pulled towards the last one where the arm would refuse it.
+
+    Args:
+        position: (3,) m, wanted.
+        yaw: rad, wanted.
+        last: (3,) m, the target in force.
+        last_yaw: rad, of the target in force.
+        max_step: largest change between two targets, m and rad.
+    """
+    step_m, step_rad = (STEP_SHARE * limit for limit in max_step)
+    way, turn = position - last, float(wrap(yaw - last_yaw))
+    distance = float(np.linalg.norm(way))
+    if distance > step_m:
+        position = last + way * (step_m / distance)
+    if abs(turn) > step_rad:
+        yaw = last_yaw + copysign(step_rad, turn)
+    return position, yaw

@@ -9,6 +9,8 @@ from service.policy.contract import PolicyContract
 from service.policy.step import PolicyStep, command_bounds
 from service.safety.monitor import MonitorParameters
 from service.safety.preflight import PreflightParameters
+from service.safety.probe import ProbeParameters
+from service.safety.seating import CAMERA, NOMINAL, SeatingParameters
 from service.safety.witness import WitnessParameters
 from wire.arrays import FloatArray
 from wire.impact import fastest_m_s, reached_m_s
@@ -16,6 +18,25 @@ from wire.law import ComplianceLaw, ControlLimits
 
 APPROACH_SPEED_M_S = 0.08
 """Speed of the scripted moves where the recipe names none and the part bears it."""
+PATH_TICKS = 5
+"""Samples between two targets of a scripted move."""
+SEARCH_M = 15e-3
+"""Distance beyond the possible places of the hole to which a policy's search may lead the tip."""
+ABOVE_HOVER_M = 20e-3
+"""Height above the hover to which it may lead the tip."""
+PROVEN_SHARE = 5.0 / 6.0
+"""Share of the success depth that a probe must prove: 2.5 mm of 3 mm, the paper's criterion."""
+PROBE_N = 4.0
+"""Force from which a side holds the tip."""
+PROBE_PUSH_N = 6.0
+"""Largest force with which a probe pushes aside, whatever the sensor says: stiffness times the target's lead."""
+PROBE_PULL_N = 9.0
+"""The same down and up."""
+PROBE_SAMPLES = 25
+"""Newest samples whose mean force a probe judges."""
+PROBE_SPEED_M_S = 0.02
+PROBE_PATIENCE_S = 2.5
+"""Time of one leg of a probe after which it has failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +53,6 @@ class Plan:
         approach_speed_m_s: speed of scripted moves.
         max_steps: policy steps before the run fails.
         tick_s: period of the samples.
-        success_depth_m: depth of the peg's bottom below the surface that counts as inserted.
         retract: whether the tool moves up at the end.
         policy_deadline_s: longest time of one inference.
         clamped_steps: steps in a row with an outrageous action before the cell latches.
@@ -41,6 +61,8 @@ class Plan:
         preflight: requirements on sensor and pose before the arm moves.
         witness: agreement of the sensor with the arm's joints, where the arm gives their forces.
         step: the policy step, with its lock and its bounds.
+        seating: requirements on a seated peg, and the room of the run.
+        probe: question to the walls where no contact proves the seat.
     """
 
     start_position: FloatArray
@@ -52,7 +74,6 @@ class Plan:
     approach_speed_m_s: float
     max_steps: int
     tick_s: float
-    success_depth_m: float
     retract: bool
     policy_deadline_s: float
     clamped_steps: int
@@ -61,6 +82,8 @@ class Plan:
     preflight: PreflightParameters
     witness: WitnessParameters
     step: PolicyStep
+    seating: SeatingParameters
+    probe: ProbeParameters
 
     def why_not_hole(self, estimate: FloatArray) -> str | None:
         """Return why an estimate cannot be the recipe's hole; None where it can.
@@ -102,7 +125,6 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         approach_speed_m_s=approach_speed_m_s(recipe, limits, contract.compliance),
         max_steps=contract.max_steps if recipe.max_steps is None else min(recipe.max_steps, contract.max_steps),
         tick_s=contract.tick_s,
-        success_depth_m=recipe.success_depth_m,
         retract=recipe.retract,
         policy_deadline_s=limits.policy_deadline_s,
         clamped_steps=limits.clamped_steps,
@@ -111,6 +133,22 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         preflight=PreflightParameters(**config.preflight.model_dump()),
         witness=WitnessParameters(**config.witness.model_dump()),
         step=PolicyStep(contract, bounds),
+        seating=SeatingParameters(
+            success_depth_m=recipe.success_depth_m,
+            clearance_m=recipe.clearance_m,
+            tolerance=CAMERA if contract.uses_estimate else NOMINAL,
+            search_m=SEARCH_M,
+            above_m=recipe.hover_m + ABOVE_HOVER_M,
+        ),
+        probe=ProbeParameters(
+            sink_m=CAMERA.height_m,
+            proven_m=PROVEN_SHARE * recipe.success_depth_m,
+            clearance_m=recipe.clearance_m,
+            held_n=PROBE_N,
+            step_m=PROBE_SPEED_M_S * PATH_TICKS * contract.tick_s,
+            lead_m=(_lead(PROBE_PUSH_N, contract, 0), _lead(PROBE_PULL_N, contract, 2)),
+            patience=round(PROBE_PATIENCE_S / (PATH_TICKS * contract.tick_s)),
+        ),
     )
 
 
@@ -133,3 +171,8 @@ def plan_monitor(limits: LimitsSection, force_ceiling_n: float) -> MonitorParame
         max_age_s=limits.sample_age_s,
         max_gap_s=limits.sample_age_s,
     )
+
+
+def _lead(force_n: float, contract: PolicyContract, axis: int) -> float:
+    """Return the lead of a target with which the law pulls with a force along an axis, m."""
+    return force_n / contract.compliance.stiffness[axis]

@@ -9,10 +9,11 @@ from typing import Protocol
 import structlog
 
 from service.cell.inference import HeldPolicy, Inference
-from service.cell.insertion import Insertion, Stage
+from service.cell.insertion import Insertion
 from service.cell.journal import Journal
 from service.cell.orders import Disengage, Engage, Fail, Halt, Infer, Move, Order, Succeed, ZeroFt
 from service.cell.plan import Plan
+from service.cell.stages import STATE_IN, Stage
 from service.cell.tick_record import TickRecord
 from service.drivers.base import Driver, Sample
 from service.faults import FaultCode
@@ -20,16 +21,6 @@ from service.messages import CellState, Run, RunState, StartRequest
 from service.policy.model import PolicyError, PolicyFault
 from service.safety.witness import Witness
 from wire.arrays import Float32Array
-
-STATE_IN: dict[Stage, CellState] = {
-    Stage.ZEROING: CellState.PREFLIGHT,
-    Stage.CHECKING: CellState.PREFLIGHT,
-    Stage.ENGAGING: CellState.APPROACH,
-    Stage.APPROACHING: CellState.APPROACH,
-    Stage.INSERTING: CellState.RUNNING,
-    Stage.RETRACTING: CellState.RETRACT,
-}
-"""The cell's state in each stage of an insertion."""
 
 _log = structlog.get_logger("service.cell")
 

@@ -70,8 +70,10 @@ async def test_a_reset_needs_a_name_and_a_look(page: Page, cell: WireCell) -> No
 
 
 async def test_a_silent_control_process_is_unknown_and_stop_stays_enabled(page: Page, cell: WireCell) -> None:
+    assert await page.text_content("#ceiling") == "30"
     cell.heartbeat = False
     await shows(page, "UNKNOWN")
+    assert await page.text_content("#ceiling") == "–", "nobody knows which one is in force"
     assert await page.is_disabled("#start")
     assert await page.text_content("#force") == "–"
     assert await page.is_enabled("#stop")

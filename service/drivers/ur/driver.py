@@ -36,6 +36,8 @@ REST_S = 0.1
 """Uninterrupted rest required, s: a swinging arm is momentarily slow at each reversal."""
 ERRAND_S = 1.0
 """Host time for one dashboard command in an escalation, s; a hanging command must not delay the next."""
+FOREIGN_S = 0.5
+"""Time for which a program that is not ours must play, robot's time, s; ours needs some steps to be recognised."""
 POLL_S = 0.01
 ECHO_MARGIN_S = 0.02
 """Allowance for the controller's own steps between an order and its echo, s."""
@@ -93,6 +95,8 @@ class UrDriver:
         self._episode = 0
         self._proven = not (config.ur.simulated if config.ur.prove_watchdog is None else config.ur.prove_watchdog)
         self._setting: tuple[float, tuple[float, ...], tuple[float, ...]] | None = None
+        self._preparing = False
+        self._ours_s = 0.0
         self._unlocking: asyncio.Task[None] | None = None
         self._escalation: asyncio.Task[None] | None = None
 
@@ -144,13 +148,17 @@ class UrDriver:
         """
         if self._world_setup is None and task is not None:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name} is real and has no seed: leave it out")
-        facts = await gate.measure(
-            self._link,
-            self._ur,
-            self._preflight,
-            prove_watchdog=not self._proven,
-            load=self._world_setup is None and not self._link.watch.running,
-        )
+        self._preparing = True  # the program is ended and started meanwhile
+        try:
+            facts = await gate.measure(
+                self._link,
+                self._ur,
+                self._preflight,
+                prove_watchdog=not self._proven,
+                load=self._world_setup is None and not self._link.watch.running,
+            )
+        finally:
+            self._preparing = False
         for code, checks in (
             (FaultCode.AUTHORITY, gate.judge_program(facts, self._ur)),
             (FaultCode.CONTACT_AT_START, gate.judge_load(facts, self._ur, self._preflight)),
@@ -231,6 +239,7 @@ class UrDriver:
             return
         if package.program == Program.ENGAGED and self._link.watch.running:
             self._judge_setting(package, sink)
+        self._judge_program(package, sink)
         if self._episode and camera is not None and camera.episode != self._episode:
             sink.on_link_fault(FaultCode.SOURCE, f"{self.name}: another client laid out the world")
             self._episode = 0
@@ -260,6 +269,15 @@ class UrDriver:
             else:
                 self._setting = setting
         if text:
+            sink.on_link_fault(FaultCode.AUTHORITY, f"{self.name}: {text}")
+
+    def _judge_program(self, package: Package, sink: SampleSink) -> None:
+        """Report a program that plays on the controller and is not ours; ours counts a moment after it was started."""
+        if self._preparing or self._link.watch.running or package.runtime_state != RuntimeState.PLAYING:
+            self._ours_s = package.time_s
+        elif package.time_s - self._ours_s > FOREIGN_S:
+            self._ours_s = package.time_s
+            text = "a program plays on the controller that is not this cell's, or that hangs"
             sink.on_link_fault(FaultCode.AUTHORITY, f"{self.name}: {text}")
 
     def _note(self, checks: tuple[gate.Check, ...]) -> None:

@@ -225,6 +225,28 @@ async def test_a_force_at_the_ceiling_latches_while_the_world_is_prepared_too_fo
         assert driver.said("stop")
 
 
+async def test_the_ceiling_that_is_shown_is_the_one_in_force(tmp_path: Path) -> None:
+    drivers: list[Preparing] = []
+
+    def wrap(driver: Driver) -> Preparing:
+        drivers.append(Preparing(driver))
+        return drivers[-1]
+
+    policy = policies.still(tmp_path)
+    config = cell_config(tmp_path / "state", policy, conditions="easy", force_ceiling_n=20.0, max_steps=1)
+    async with lockstep_cell(config, wrap=wrap) as bench:
+        await bench.insert(EASY)
+        assert bench.cell.status().force_ceiling_n == 20.0
+        await bench.start(EASY)
+        await bench.let_pass(0.1)
+        assert bench.cell.status().force_ceiling_n == 20.0, "while the next world is prepared"
+        drivers[0].spoil = lambda sample: [with_wrench(sample, fx=25.0)]
+        await bench.let_pass(0.01)
+        drivers[0].spoil = lambda sample: [sample]
+        await bench.state(CellState.LATCHED, limit_s=1.0)
+        assert bench.cell.journal.latch.code is FaultCode.FORCE_CEILING
+
+
 async def test_a_stop_is_confirmed_while_the_world_is_still_being_prepared(tmp_path: Path) -> None:
     async with preparing_cell(tmp_path) as (bench, driver):
         at = driver.clock()

@@ -2,8 +2,7 @@
 
 from itertools import pairwise
 
-from service.cell.insertion import Stage
-from service.cell.runs import STATE_IN
+from service.cell.stages import STATE_IN, Stage
 from service.cell.states import TRANSITIONS, WITH_RUN
 from service.drivers.base import PoseTarget
 from service.messages import CellState, RunState

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cell.insertion import Insertion, Stage
+from service.cell.insertion import Insertion
 from service.cell.orders import Engage, Infer, Move
 from service.cell.plan import plan_insertion
+from service.cell.stages import Stage
 from service.config import CellConfig, load
 from service.drivers.base import Program, RobotMode, SafetyMode, Sample, StopReason
 from service.policy.model import Policy

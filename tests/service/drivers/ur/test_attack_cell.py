@@ -15,6 +15,8 @@ from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
 from tests.service.drivers.ur.emulated import lockstep_ur_cell, ur_cell_config
 from tests.service.drivers.ur.test_cell import acknowledged, arm_of, assert_stands, running
+from tests.service.drivers.ur.test_driver import FOREIGN
+from wire.rtde.modes import RuntimeState
 
 
 @pytest.fixture
@@ -53,6 +55,44 @@ async def test_a_run_that_was_paused_does_not_go_on_after_reset_and_resumption(c
     assert cell.cell.newest_sample.program is Program.IDLE
     assert np.linalg.norm(np.subtract(arm_of(cell).plant.tcp_pose()[:3], before[:3])) < 1e-3
     await running(cell)
+
+
+IDLE_PROGRAM = """
+def foreign():
+  while True:
+    sync()
+  end
+end
+"""
+"""A program of somebody else that does not move the arm, yet."""
+
+
+async def test_83_another_program_on_the_ready_arm_authority(cell: Bench) -> None:
+    await cell.state(CellState.READY)
+    await cell.let_pass(1.0)
+    arm_of(cell).controller.run_script(IDLE_PROGRAM)
+    await cell.state(CellState.LATCHED, limit_s=2.0)
+    latch = cell.cell.status().latch
+    assert latch.code is FaultCode.AUTHORITY
+    assert "a program plays on the controller that is not this cell's" in latch.text
+    assert any(event.code is FaultCode.AUTHORITY for event in cell.events), "in the journal"
+    assert arm_of(cell).controller.program_name == "foreign", "a program under which the arm stands is left alone"
+    arm_of(cell).controller.stop_program()
+    assert await acknowledged(cell) is None
+    await running(cell)
+
+
+async def test_83_another_program_that_moves_the_ready_arm_is_ended(cell: Bench) -> None:
+    await cell.state(CellState.READY)
+    await cell.let_pass(1.0)
+    arm_of(cell).controller.run_script(FOREIGN)
+    await cell.state(CellState.LATCHED, limit_s=3.0)
+    await cell.until(lambda: arm_of(cell).controller.runtime_state is RuntimeState.STOPPED, 3.0)
+    latch = cell.cell.status().latch
+    assert latch.code is FaultCode.STOP_UNCONFIRMED, "a stop of ours does not stop it"
+    assert "Stopped for AUTHORITY" in latch.text
+    assert any("the arm is being moved" in event.text for event in cell.events)
+    await assert_stands(cell)
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 3, 10, 40, 80, 120])
