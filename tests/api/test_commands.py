@@ -91,7 +91,7 @@ async def test_a_body_that_is_not_a_start_is_422_and_starts_nothing(api: Api, ce
 @pytest.mark.parametrize(
     "text", ['{"recipe": "tr-2mm", "seed": 1e999}', "[" * 15000, "{", '"', "\x00", '{"recipe": NaN}']
 )
-async def test_json_bombs_and_garbage_are_4xx(api: Api, cell: WireCell, text: str) -> None:
+async def test_59_json_bombs_and_garbage_are_4xx(api: Api, cell: WireCell, text: str) -> None:
     response = await api.http.post("/start", content=text, headers={"Content-Type": "application/json"})
     assert 400 <= response.status_code < 500
     assert response.headers["content-type"] == PROBLEM

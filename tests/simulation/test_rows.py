@@ -68,3 +68,12 @@ def test_53_a_control_process_that_dies_in_a_run_leaves_it_interrupted(ends: End
     outcome = tell(1, run_with(kind, 1.2, part="control", again_s=0.2))
     assert not outcome.violations
     assert ends.codes == [(RunState.INTERRUPTED, "INTERRUPTED")]
+
+
+@pytest.mark.parametrize("lie", ["forces frozen", "torques frozen"])
+def test_65_a_kind_of_channels_that_freezes_in_a_run_latches_sensor_stuck(ends: Ends, lie: str) -> None:
+    plan = run_with("status", 0.2)
+    plan.lie, plan.lie_s = lie, 1.2
+    outcome = tell(1, plan)
+    assert not outcome.violations, "the true force stays within its bound, too"
+    assert ends.codes == [(RunState.LATCHED, "SENSOR_STUCK")]
