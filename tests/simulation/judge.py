@@ -7,7 +7,7 @@ from typing import Any
 from service.cell.cell import Cell
 from service.messages import Latch, RunState
 from tests.simulation.universe import RECIPE, Answer, Universe
-from wire.records import Program
+from wire.records import TICK_S, Program
 
 MOVING_M_S = 2e-3
 """Speed at which an arm counts as moving; the cell measures standstill with the same number."""
@@ -36,7 +36,7 @@ class Judge:
     def __post_init__(self) -> None:
         self._driving: str | None = None
         self._program = Program.IDLE
-        self._last_run_s = self._last_loss_s = 0.0
+        self._last_run_s = self._stopped_s = 0.0
         self._latch: Latch | None = None
         self._latched_s = 0.0
         self._epoch: str | None = None
@@ -53,6 +53,11 @@ class Judge:
             self.violations.append(f"{self.universe.loop.time():.4f} {line}")
             self.universe.note(f"VIOLATION {line}")
 
+    @property
+    def _world_s(self) -> float:
+        """Time of the world, which stands still while its process is frozen."""
+        return self.universe.plant.seq * TICK_S
+
     # --- at every tick
 
     def on_tick(self) -> None:
@@ -61,7 +66,7 @@ class Judge:
         cell = universe.cell
         active = None if cell is None else cell.runs.active
         if active is not None:
-            self._last_run_s = now
+            self._last_run_s = self._world_s
             run_id = active.accepted.id
             self.deepest[run_id] = max(self.deepest.get(run_id, -1.0), plant.depth)
         if plant.program is Program.ENGAGED and self._program is not Program.ENGAGED:
@@ -79,8 +84,9 @@ class Judge:
             self._judge_latch(cell, now)
 
     def _judge_motion(self, now: float, has_run: bool) -> None:
-        if not has_run and now - self._last_run_s > BRAKING_S:
-            self._violation("motion without a run", f"the last run ended {now - self._last_run_s:.3f} s ago")
+        since_s = self._world_s - self._last_run_s
+        if not has_run and since_s > BRAKING_S:
+            self._violation("motion without a run", f"the last run ended {since_s:.3f} s ago")
         stop = self._stop
         if stop is None or stop.received_s is None:
             return
@@ -88,7 +94,7 @@ class Judge:
         if start is not None and start.sent_s > stop.sent_s:
             return  # it may have been received after the stop
         confirmed = stop.status == 200
-        if confirmed or now - stop.received_s > BRAKING_S:
+        if confirmed or self._world_s - self._stopped_s > BRAKING_S:
             text = f"the stop was answered {now - stop.received_s:.3f} s ago, {self._driving} moves the arm"
             self._violation("motion after a stop", text)
 
@@ -118,7 +124,7 @@ class Judge:
         told = answer.kind == "stop" and answer.status in (200, 202) and answer.document["state"] != "UNKNOWN"
         newest_s = 0.0 if self._stop is None else self._stop.received_s or 0.0
         if told and (answer.received_s or 0.0) >= newest_s:
-            self._stop = answer
+            self._stop, self._stopped_s = answer, self._world_s
         if answer.kind == "runs" and answer.status == 200:
             active = [run["id"] for run in answer.document["runs"] if run["state"] == RunState.ACTIVE]
             if len(active) > 1:
