@@ -81,7 +81,7 @@ run: $(RUNTIME) ## start the simulated cell and insert one peg (ONCE=1: then exi
 
 # --- checks ---------------------------------------------------------------------------------------------------------
 
-.PHONY: test test-covered coverage lint format docs-check
+.PHONY: test test-covered coverage nightly lint format docs-check
 test: $(DEV) ## the tests (some ten minutes)
 	$(BIN)/python -m pytest $(ARGS)
 
@@ -95,6 +95,11 @@ test-covered: $(DEV) ## the same tests under coverage, then a line per package (
 coverage: $(DEV) ## every branch of the safety core is exercised by its own tests
 	$(BIN)/python -m coverage run --source service.safety --data-file .coverage-safety -m pytest -q tests/service/safety
 	$(BIN)/python -m coverage report --data-file .coverage-safety --fail-under 100
+
+nightly: $(DEV) ## 10,000 simulated universes, the state machine at length, every fault put back, mutation testing (hours)
+	$(BIN)/python -m tests.simulation --seeds 10000
+	$(BIN)/python -m pytest -m nightly tests/simulation
+	$(BIN)/python -m tests.mutation
 
 lint: $(DEV) ## ruff, import directions, pyright
 	$(BIN)/ruff check .

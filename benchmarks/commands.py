@@ -15,6 +15,7 @@ from wire.exits import Exit
 BENCHMARKS = (
     *("tick", "stop_latency", "round_trip", "lockstep", "lateness", "throughput", "training_share", "peers"),
     *("rtde", "emulator", "ur_client", "ur_stop", "ur_ceiling", "ur_silence", "contact_loop", "sensor_lies"),
+    "force_overshoot",
 )
 FOLDER = Path("benchmarks/results")
 

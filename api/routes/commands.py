@@ -17,7 +17,7 @@ from service.stopping import confirm, deliver, is_standing
 router = APIRouter(tags=["commands"])
 _log = structlog.get_logger("api.commands")
 
-STOPPED_TEXT = "A stop came after this start had been received: look at the cell, then start again."
+STOPPED_TEXT = "A stop came after this start had been received: look at the cell, then start again, under a new key."
 
 
 @router.post(

@@ -77,12 +77,13 @@ async def _insert(bench: Bench, sensor: LyingSensor, name: str | None, moment: s
     if moment == "from the start":
         sensor.begin(LIES[name], absolute=True)
     run = await bench.start(seed)
-    if moment == "in free air":
-        await bench.state(CellState.APPROACH, CellState.READY)
-    elif moment == "in contact":
+    if moment == "from the start":
+        return await bench.ended(run)
+    await bench.state(CellState.APPROACH, CellState.READY)
+    sensor.be_honest()  # a peg that the run before left in contact does not count
+    if moment == "in contact":
         await bench.until(lambda: sensor.peak_n > TOUCHED_N or bench.cell.runs.active is None)
-    if moment != "from the start":
-        sensor.begin(LIES[name])
+    sensor.begin(LIES[name])
     return await bench.ended(run)
 
 

@@ -18,10 +18,11 @@ from wire.task import Conditions, Task
 
 Contact = Literal["face", "rim", "wall"]
 """Face of the peg on the block; the peg half over the hole, on its rim; sideways onto a wall of the hole."""
+LEASH_M = MAX_STEP[0]
 TARGET_TICKS = 5
 SETTLED_TICKS = 250
-TOUCH_TICKS = 50
-"""Ticks from the first touch in which the first peak lies."""
+TOUCH_TICKS = 100
+"""Ticks from the first touch in which the peak lies."""
 _WAYS: dict[Contact, tuple[tuple[float, float, float], tuple[float, float, float], float]] = {
     "face": ((0.025, 0.015, 0.02), (0.0, 0.0, -1.0), 0.02),
     "rim": ((0.012, 0.006, 0.02), (0.0, 0.0, -1.0), 0.02),
@@ -52,26 +53,26 @@ class Touched:
     """Outcomes, (n,) each.
 
     Attributes:
-        first_peak_n: largest true contact force within `TOUCH_TICKS` of the first touch.
+        peak_n: largest true contact force within `TOUCH_TICKS` of the first touch.
         swing_n: standard deviation of the true load on the flange, in the last half second.
         engaged: whether the arm's program still runs.
     """
 
-    first_peak_n: FloatArray
+    peak_n: FloatArray
     swing_n: FloatArray
     engaged: BoolArray
 
 
 def touch(
-    touches: Sequence[Touch], contact: Contact, press_m: float, leash_m: float = MAX_STEP[0], settle_s: float = 1.0
+    touches: Sequence[Touch], contact: Contact, press_m: float, ceiling_n: float = 1e3, settle_s: float = 1.0
 ) -> Touched:
-    """Move every arm into its contact, and hold the target behind the surface.
+    """Move every arm into its contact, and hold the target behind the surface; the target leads by `LEASH_M` at most.
 
     Args:
         touches: one per arm.
         contact: place of the contact.
         press_m: distance of the last target behind the surface.
-        leash_m: largest lead of the target before the arm.
+        ceiling_n: measured force at which an arm stops by itself.
         settle_s: time after the slowest arrival.
     """
     n = len(touches)
@@ -83,7 +84,7 @@ def touch(
     stiffness, damping, inertia = (
         np.array([getattr(one.law, name) for one in touches]) for name in ("stiffness", "damping", "inertia")
     )
-    limits = ControlLimits(WORKSPACE_M, 1e3, max_speed=(0.3, 3.0), max_step=(1.0, 1.0))
+    limits = ControlLimits(WORKSPACE_M, ceiling_n, max_speed=(0.3, 3.0), max_step=(1.0, 1.0))
     world.engage(cells, stiffness, damping, inertia, limits)
     turn = quaternion.from_rotvec(rotvec_from_yaw(world.hole_yaw))
     steps = np.array([one.speed_m_s for one in touches]) * TARGET_TICKS * TICK_S
@@ -94,7 +95,7 @@ def touch(
     loads = np.zeros((SETTLED_TICKS, n))
     for tick in range(ticks):
         if tick % TARGET_TICKS == 0:
-            free = np.linalg.norm(target - world.position, axis=1) < leash_m
+            free = np.linalg.norm(target - world.position, axis=1) < LEASH_M
             step = np.where(free, np.minimum(steps, distance + press_m - gone), 0.0)
             gone += step
             target += step[:, None] * np.array(way)

@@ -86,7 +86,7 @@ def _why_not_this_start(
 ) -> Problem | None:
     if request.after is not None and request.after != situation.mark:
         since = "a stop came" if request.after.service_epoch == situation.mark.service_epoch else "the cell restarted"
-        text = f"{since} after this start had been received: look at the cell, then start again"
+        text = f"{since} after this start had been received: look at the cell, then start again, under a new key"
         return situation.problem(RefusalReason.STOPPED, text)
     if request.valid_until is not None and situation.clock_s > request.valid_until:
         text = "the start could not be decided before its valid_until: ask again"

@@ -117,6 +117,11 @@ class Cell:
         return self._states.state
 
     @property
+    def policies_settled(self) -> bool:
+        """True once every policy is loaded or refused; until then a start may have to wait."""
+        return self._starting.policies_settled
+
+    @property
     def newest_sample(self) -> Sample | None:
         return self._intake.sample
 
@@ -194,6 +199,8 @@ class Cell:
         state = self.state
         if state in WITH_RUN or state is CellState.READY:
             (self.driver.stop_blind if code in DISBELIEVED else self.driver.stop)()
+        elif state is CellState.STOPPING and code in DISBELIEVED:
+            self._standstill.disbelieve()
         if state in WITH_RUN or (state is CellState.READY and code not in LINK_FAULTS):
             self._begin_stop(code, text)
         elif code in LINK_FAULTS:
@@ -202,7 +209,7 @@ class Cell:
     def _begin_stop(self, code: FaultCode, text: str) -> None:
         self._stops += 1
         self._states.to(CellState.STOPPING)
-        self._standstill.begin()
+        self._standstill.begin(self.runs.witness, blind=code in DISBELIEVED)
         state = RunState.ended_by(code)
         run_id, peak_n = self.runs.active_id, self._intake.peak_force_n
         # Before the run's end: a process that dies between the two writes must come back latched
@@ -217,7 +224,7 @@ class Cell:
     def disengage(self) -> None:
         """End a run in the ordinary way: stop the arm, and become READY once standstill is measured."""
         self.driver.stop()
-        self._standstill.begin()
+        self._standstill.begin(self.runs.witness)
 
     def _conclude(self, stop: StopState) -> None:
         if stop is StopState.WAITING:
@@ -250,7 +257,7 @@ class Cell:
         now = self.driver.clock()
         if self._standstill.awaited:
             if self.state is CellState.STOPPING:
-                self.driver.stop()
+                self._standstill.stop()
             self._conclude(self._standstill.on_silence(now))
         if self._starting.preparing or (self.unlinked.is_set() and self.state not in WITH_RUN):
             return

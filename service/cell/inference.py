@@ -40,6 +40,11 @@ class HeldPolicy(Protocol):
         ...
 
     @property
+    def settled(self) -> bool:
+        """True once the policy is loaded or refused, so that `loaded` does not wait."""
+        ...
+
+    @property
     def ended(self) -> bool:
         """True for a policy that was loaded and has come to an end since: it must be opened anew."""
         ...
@@ -100,6 +105,7 @@ class InProcessPolicy:
         kind: how runs get their inference.
     """
 
+    settled = True
     ended = False
 
     def __init__(

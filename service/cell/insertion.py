@@ -67,6 +67,7 @@ class Insertion:
         plan: of this insertion.
 
     Attributes:
+        witness: compares the sensor with the joints, once the sensor was zeroed; None before, and without joints.
         steps: policy steps taken.
         last: record of the last policy step; None before the first.
     """
@@ -79,7 +80,7 @@ class Insertion:
         self._zeroings = 0
         self._window: deque[FloatArray] = deque(maxlen=max(plan.step.ticks, plan.preflight.window_samples))
         self._rest = Rest(plan)
-        self._witness: Witness | None = None
+        self.witness: Witness | None = None
         self._estimates: list[FloatArray] = []
         self._hole = plan.nominal_hole
         self._waypoints: list[FloatArray] = []
@@ -143,7 +144,7 @@ class Insertion:
         if (halt := why_not_drive(sample, engaged=self._stage in DRIVEN)) is not None:
             yield self._halt(halt.code, halt.text)
             return
-        if self._witness is not None and (verdict := self._witness.check(sample.wrench, sample.joint_force)).fault:
+        if self.witness is not None and (verdict := self.witness.check(sample.wrench, sample.joint_force)).fault:
             yield self._halt(verdict.fault, verdict.text)
             return
         self._window.append(sample.wrench)
@@ -216,7 +217,7 @@ class Insertion:
         if (text := self._locate_hole(sample)) is not None:
             yield from self._fail(FaultCode.BOUNDS, text)
             return
-        self._witness = self._rest.witness()
+        self.witness = self._rest.witness()
         self._started_s = sample.time_s
         self._go(Stage.ENGAGING, sample)
         yield Engage(plan.law, plan.limits)

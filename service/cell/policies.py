@@ -8,7 +8,7 @@ from service.cell.fit import CellCapabilities, mismatches
 from service.cell.inference import HeldPolicy, PolicyOpener
 from service.config import CellConfig
 from service.policy.contract import PolicyContract
-from service.policy.model import SIZE_LIMIT_BYTES, PolicyError
+from service.policy.model import SIZE_LIMIT_BYTES, PolicyError, PolicyFault
 
 
 class PolicyRefusedError(Exception):
@@ -46,11 +46,16 @@ class PolicyShelf:
         self._tick_s = tick_s
         self._opener = opener
         self._closed = False
-        self._held: dict[tuple[Path, str | None], HeldPolicy] = {}
+        self._held: dict[tuple[Path, str | None], HeldPolicy | PolicyError] = {}
         for recipe in config.recipes.values():
             key = recipe.policy, recipe.policy_sha256
             if key not in self._held:
-                self._held[key] = opener(*key)
+                self._held[key] = self._open(*key)
+
+    @property
+    def settled(self) -> bool:
+        """True once every policy is loaded or refused."""
+        return all(isinstance(held, PolicyError) or held.settled for held in self._held.values())
 
     def admit(self, recipe: str) -> Admitted:
         """Return a recipe's policy, if its file is still the one that was loaded. Blocks on disk and loading.
@@ -61,15 +66,9 @@ class PolicyShelf:
             PolicyRefusedError: it could not be loaded, does not fit this cell, or its file was replaced since.
         """
         section = self._config.recipes[recipe]
-        key = section.policy, section.policy_sha256
         try:
-            held = self._held[key]
+            held = self._usable(section.policy, section.policy_sha256)
             sha256, contract = held.loaded()
-            _check_file(section.policy, sha256)
-            if held.ended and not self._closed:
-                held.close()
-                self._held[key] = held = self._opener(section.policy, sha256)
-                sha256, contract = held.loaded()
         except PolicyError as error:
             raise PolicyRefusedError(str(error)) from error
         if reasons := mismatches(contract, CellCapabilities.of(self._config, section, self._tick_s)):
@@ -80,7 +79,34 @@ class PolicyShelf:
         """Release every policy; a start that waits for one is refused. May block for a moment."""
         self._closed = True
         for held in list(self._held.values()):
-            held.close()
+            if not isinstance(held, PolicyError):
+                held.close()
+
+    def _usable(self, path: Path, pin: str | None) -> HeldPolicy:
+        """Return a policy that is loaded and whose file is the one that was loaded.
+
+        Raises:
+            PolicyError: it cannot be loaded.
+            PolicyRefusedError: its file was replaced.
+        """
+        held = self._held[path, pin]
+        if isinstance(held, PolicyError):  # there was no process to be had; there may be one now
+            held = self._held[path, pin] = self._open(path, pin)
+        if not isinstance(held, PolicyError):
+            sha256, _ = held.loaded()
+            _check_file(path, sha256)
+            if held.ended and not self._closed:
+                held.close()
+                held = self._held[path, pin] = self._open(path, sha256)
+        if isinstance(held, PolicyError):
+            raise held
+        return held
+
+    def _open(self, path: Path, sha256: str | None) -> HeldPolicy | PolicyError:
+        try:
+            return self._opener(path, sha256)
+        except OSError as error:
+            return PolicyError(PolicyFault.FAILED, f"no process for {path} can be made: {error.strerror}")
 
 
 def _check_file(path: Path, sha256: str) -> None:

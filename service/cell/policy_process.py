@@ -21,7 +21,7 @@ from service.policy.model import PolicyError, PolicyFault
 from service.policy.worker import HEAD, PAYLOAD_LIMIT_BYTES, BrokenFrameError, Kind, decode, encode
 from wire.arrays import Float32Array
 
-LOAD_S = 10.0
+LOAD_S = 20.0
 """Time in which a worker must have started, loaded its model and run it, s."""
 LOCKSTEP_S = 1.0
 """Host time for an answer where the world waits for it, s."""
@@ -89,6 +89,10 @@ class PolicyProcess:
     @property
     def ended(self) -> bool:
         return self._loaded.done() and self._loaded.exception() is None and self._process.returncode is not None
+
+    @property
+    def settled(self) -> bool:
+        return self._loaded.done()
 
     def loaded(self) -> tuple[str, PolicyContract]:
         return self._loaded.result()

@@ -23,6 +23,8 @@ from wire.realtime import freeze_garbage, request_realtime
 from wire.session import close_session, open_session
 from wire.tls import Access, is_encrypted
 
+POLICIES_S = 5.0
+"""Longest time for which the cell waits for its policies before it serves, s."""
 WATCHDOG_LOST = "the watchdog has ended: a loop that hangs is stopped by the arm alone; restart the control process"
 
 _log = structlog.get_logger("service")
@@ -102,6 +104,7 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
         cell.degradations = request_realtime()
     for line in cell.degradations:
         _log.warning("degraded", what=line)
+    await _await_policies(cell, ended)
     try:
         session = await asyncio.to_thread(
             open_session, [config.cell.endpoint], (), config.certificates, _access(config)
@@ -124,6 +127,14 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
                 await status
     finally:
         await asyncio.to_thread(close_session, session)
+
+
+async def _await_policies(cell: Cell, ended: asyncio.Event) -> None:
+    """Wait until a start need not wait; for a limited time, because a model may hang."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(POLICIES_S):
+            while not cell.policies_settled and not ended.is_set():
+                await asyncio.sleep(0.01)
 
 
 def _access(config: CellConfig) -> Access | None:

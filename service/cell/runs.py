@@ -19,6 +19,7 @@ from service.drivers.base import Driver, Sample
 from service.faults import FaultCode
 from service.messages import CellState, Run, RunState, StartRequest
 from service.policy.model import PolicyError, PolicyFault
+from service.safety.witness import Witness
 from wire.arrays import Float32Array
 
 _log = structlog.get_logger("service.cell")
@@ -183,6 +184,12 @@ class Runs:
         self._last: Run | None = None
         self._begun_s = 0.0
         self.active: ActiveRun | None = None
+
+    @property
+    def witness(self) -> Witness | None:
+        """Witness of the contact in the run under way; None without one."""
+        insertion = None if self.active is None else self.active.insertion
+        return None if insertion is None else insertion.witness
 
     @property
     def active_id(self) -> str | None:

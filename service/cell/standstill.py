@@ -2,6 +2,7 @@
 
 from service.drivers.base import Driver, Program, Sample
 from service.safety.stop import StopConfirmation, StopParameters, StopState
+from service.safety.witness import Witness
 
 STOP_AGAIN_TICKS = 5
 """Samples between two stop commands to an arm that stays engaged."""
@@ -19,14 +20,23 @@ class Standstill:
         self._driver = driver
         self._parameters = StopParameters(deadline_s=deadline_s)
         self._confirmation: StopConfirmation | None = None
+        self._witness: Witness | None = None
+        self._is_blind = False
 
     @property
     def awaited(self) -> bool:
         """True from `begin` to `end`."""
         return self._confirmation is not None
 
-    def begin(self) -> None:
-        """Start waiting; a stop command has just left."""
+    def begin(self, witness: Witness | None = None, *, blind: bool = False) -> None:
+        """Start waiting; a stop command has just left.
+
+        Args:
+            witness: goes on comparing the sensor with the joints. An arm yields to its sensor while it stops, so a
+                sensor that lies turns the stop into a push; the stop then becomes blind.
+            blind: the command was not to yield to the sensor.
+        """
+        self._witness, self._is_blind = witness, blind
         self._confirmation = StopConfirmation(self._parameters, self._driver.clock())
 
     def end(self) -> None:
@@ -37,6 +47,8 @@ class Standstill:
         """Take in a sample; return how the stop stands. An unconfirmed stop has been escalated."""
         if self._confirmation is None:
             return StopState.WAITING
+        if self._witness is not None and self._witness.check(sample.wrench, sample.joint_force).fault is not None:
+            self.disbelieve()
         self.repeat_stop(sample)
         if sample.program in (Program.ENGAGED, Program.STOPPING):
             # An arm whose program may go on does not count as standing
@@ -56,6 +68,19 @@ class Standstill:
     def repeat_stop(self, sample: Sample) -> None:
         """Send the stop command again while the arm stays engaged."""
         if sample.program is Program.ENGAGED and sample.seq % STOP_AGAIN_TICKS == 0:
+            self.stop()
+
+    def disbelieve(self) -> None:
+        """Make the stop under way a blind one."""
+        if not self._is_blind:
+            self._is_blind = True
+            self.stop()
+
+    def stop(self) -> None:
+        """Send the stop command again; a blind one stays blind."""
+        if self._is_blind:
+            self._driver.stop_blind()
+        else:
             self._driver.stop()
 
     def _escalated(self, stop: StopState) -> StopState:

@@ -13,11 +13,24 @@ from service.cell.journal import Journal
 from service.cell.plan import plan_insertion
 from service.cell.policies import Admitted, PolicyRefusedError, PolicyShelf
 from service.cell.runs import ActiveRun, RunHost, Runs
-from service.config import CellConfig, RecipeSection
+from service.config import CellConfig, RecipeSection, why_edited
 from service.drivers.base import Driver, DriverError
 from service.faults import FaultCode
-from service.messages import CellState, EventKind, RefusalReason, Refused, Run, RunResult, RunState, StartRequest
+from service.messages import (
+    CellState,
+    EventKind,
+    RefusalReason,
+    Refused,
+    Run,
+    RunResult,
+    RunState,
+    StartRequest,
+    StopMark,
+)
 from wire.task import Part, Task
+
+KEYS_HEARD = 1024
+"""Idempotency keys whose first mark is remembered."""
 
 _log = structlog.get_logger("service.cell")
 
@@ -72,6 +85,7 @@ class Starting:
         self._policies = PolicyShelf(config, driver.tick_s, opener)
         self._deciding: asyncio.Task[RunResult | Refused] | None = None
         self._deciding_key: str | None = None
+        self._heard: dict[str, StopMark | None] = {}
         self._preparation: asyncio.Task[None] | None = None
         self.preparing = False
 
@@ -92,11 +106,17 @@ class Starting:
         if self._deciding is not None and key is not None and key == self._deciding_key:
             answer = await asyncio.shield(self._deciding)
             return answer if isinstance(answer, Refused) else RunResult(run=answer.run, created=False)
+        request = self._as_first_heard(request)
         if (refusal := self._why_not(request, self._host.situation())) is not None:
             return refusal
         self._deciding_key = key
         self._deciding = asyncio.create_task(self._decide(request), name="start")
         return await asyncio.shield(self._deciding)
+
+    @property
+    def policies_settled(self) -> bool:
+        """True once every policy is loaded or refused; until then a start may have to wait."""
+        return self._policies.settled
 
     def cancel(self) -> None:
         """Give up the start and the preparation under way."""
@@ -117,6 +137,8 @@ class Starting:
             self._deciding = None
 
     async def _decide_alone(self, request: StartRequest) -> RunResult | Refused:
+        if (edited := await asyncio.to_thread(why_edited, self._config)) is not None:
+            return refused(self._host.state, RefusalReason.WRONG_STATE, edited)
         try:
             policy = await asyncio.to_thread(self._policies.admit, request.recipe)
         except PolicyRefusedError as error:
@@ -146,6 +168,15 @@ class Starting:
         self._host.enter(CellState.PREFLIGHT)
         self._journal.tell(EventKind.RUN, self._host.state, f"accepted, {run.recipe}", run_id=run.id)
         self._preparation = asyncio.create_task(self._prepare(active, policy), name=f"prepare {run.id}")
+
+    def _as_first_heard(self, request: StartRequest) -> StartRequest:
+        """Return a request with the mark of the first one under its key: a repeated start is as old as the first."""
+        if (key := request.idempotency_key) is None:
+            return request
+        first = self._heard.setdefault(key, request.after)
+        if len(self._heard) > KEYS_HEARD:
+            del self._heard[next(iter(self._heard))]
+        return request.model_copy(update={"after": first})
 
     def _why_not_now(self, request: StartRequest) -> Refused | None:
         """Return why the start that is being decided cannot be accepted at this moment; None where it can."""

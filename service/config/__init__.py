@@ -6,7 +6,7 @@ The file is `$DSL_ASSEMBLY_CONFIG`, else `cell.toml`, else `config/cell.toml`. A
 
 from service.config.cell_config import CellConfig
 from service.config.limits import LimitsSection, PreflightSection, WitnessSection
-from service.config.loading import DEFAULT_PATHS, PATH_VARIABLE, ConfigError, find, load
+from service.config.loading import DEFAULT_PATHS, PATH_VARIABLE, ConfigError, find, load, why_edited
 from service.config.sections import (
     ApiSection,
     CameraSection,
@@ -34,4 +34,5 @@ __all__ = [
     "WitnessSection",
     "find",
     "load",
+    "why_edited",
 ]

@@ -1,8 +1,11 @@
 """The configuration of one cell: its sections, and the check that they agree."""
 
-from typing import Annotated, Self, assert_never
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Self, assert_never
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from service.config.checks import (
@@ -29,6 +32,19 @@ from service.config.ur import UrSection
 from wire.tls import Certificates
 
 
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The file of a configuration.
+
+    Attributes:
+        path: the file.
+        document: its content when it was read.
+    """
+
+    path: Path
+    document: Mapping[str, Any]
+
+
 class CellConfig(BaseSettings):
     """The configuration of one cell."""
 
@@ -47,6 +63,7 @@ class CellConfig(BaseSettings):
     api: ApiSection = ApiSection()
     client_loss: ClientLossSection = ClientLossSection()
     recipes: Annotated[dict[Name, RecipeSection], Field(min_length=1)]
+    _source: Source | None = PrivateAttr(default=None)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -62,6 +79,17 @@ class CellConfig(BaseSettings):
         if contradictions:
             raise ValueError("; ".join(contradictions))
         return self
+
+    def read_from(self, source: Source) -> Self:
+        """Return a copy that knows the file that it was read from."""
+        copied = self.model_copy()
+        copied._source = source
+        return copied
+
+    @property
+    def source(self) -> Source | None:
+        """The file that it was read from; None where it was made in code."""
+        return self._source
 
     @property
     def certificates(self) -> Certificates | None:

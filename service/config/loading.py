@@ -1,13 +1,13 @@
 """Finds, reads and checks the configuration file."""
 
 import os
+import tomllib
 from pathlib import Path
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
-from pydantic_settings import TomlConfigSettingsSource
 
-from service.config.cell_config import CellConfig
+from service.config.cell_config import CellConfig, Source
 from service.config.units import likely
 from service.program import PROGRAM
 
@@ -54,14 +54,31 @@ def load(path: Path | None = None) -> CellConfig:
     if not path.is_file():
         raise ConfigError(f"no configuration at {path}; to write a cell's folder: {PROGRAM} config new FOLDER")
     try:
-        document = TomlConfigSettingsSource(CellConfig, path)()
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ConfigError(f"{path} is not TOML: {error}") from error
     try:
-        return _with_absolute_paths(CellConfig(**document), path.parent)
+        return _with_absolute_paths(CellConfig(**document), path.parent).read_from(Source(path, document))
     except ValidationError as error:
         lines = [f"  {_field(problem['loc'])}: {_said(problem)}" for problem in error.errors()]
         raise ConfigError("\n".join([f"{path} cannot be used:", *lines])) from error
+
+
+def why_edited(config: CellConfig) -> str | None:
+    """Return why a configuration is no longer that of its file; None while it is, or if it has no file. Blocks."""
+    if (source := config.source) is None:
+        return None
+    try:
+        present = tomllib.loads(source.path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        return f"{source.path} can no longer be read: {error}; restore it, or restart the control process"
+    if present == source.document:
+        return None
+    names = sorted(name for name in {*present, *source.document} if present.get(name) != source.document.get(name))
+    return (
+        f"{source.path} was edited since the control process read it (in {', '.join(names)}), and the limits in force "
+        "are the old ones: restart the control process, or undo the edit"
+    )
 
 
 def _field(location: tuple[int | str, ...]) -> str:

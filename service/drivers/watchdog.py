@@ -8,6 +8,7 @@ through a connection of the watchdog's own, and so does the end of the pipe: the
 import contextlib
 import os
 import select
+import signal
 import socket
 import subprocess
 import sys
@@ -195,6 +196,7 @@ def main(handle: str, limit_s: str, kind: str, *where: str) -> None:
         kind: of brake.
         *where: arguments of the brake.
     """
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends after the loop that it watches
     guard(int(handle), float(limit_s), _BRAKES[kind](*where))
     log_writer().drain()
     os._exit(0)  # an unclosed session may hang the interpreter's own exit

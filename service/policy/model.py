@@ -15,6 +15,12 @@ from wire.arrays import Float32Array
 SIZE_LIMIT_BYTES = 16 * 2**20
 OPSETS = range(11, 24)
 """Versions of the standard operator set that are admitted."""
+RANDOM = frozenset(
+    {"RandomNormal", "RandomNormalLike", "RandomUniform", "RandomUniformLike", "Multinomial", "Bernoulli"}
+)
+"""Standard operators that draw random numbers."""
+DROPOUT_TRAINING_INPUTS = 3
+"""Inputs of a `Dropout` that may be told to train, that is to draw random numbers."""
 
 
 class PolicyFault(StrEnum):
@@ -26,6 +32,7 @@ class PolicyFault(StrEnum):
     CORRUPT = "CORRUPT"
     EXTERNAL_DATA = "EXTERNAL_DATA"
     OPSET = "OPSET"
+    RANDOM = "RANDOM"
     CONTRACT_MISSING = "CONTRACT_MISSING"
     CONTRACT_INVALID = "CONTRACT_INVALID"
     SIGNATURE = "SIGNATURE"
@@ -174,13 +181,17 @@ class Policy:
                 )
 
     def _probe(self) -> None:
-        """Run the graph at zero and at plus and minus each entry's scale, to find a failure before any motion."""
+        """Run the graph twice at zero and at plus and minus each entry's scale, to find a failure before any motion."""
         scales = [
             np.broadcast_to(np.asarray(entry.scale, np.float32), (entry.history, entry.size)).ravel()
             for entry in self.contract.observation
         ]
         for factor in (0.0, 1.0, -1.0):
-            self.act((factor * np.concatenate(scales)).astype(np.float32), self.initial_hidden())
+            observation = (factor * np.concatenate(scales)).astype(np.float32)
+            once, again = (self.act(observation, self.initial_hidden()) for _ in range(2))
+            if any((a != b).any() for a, b in zip(once, again, strict=True) if a is not None and b is not None):
+                text = f"{self.source} answers one observation in two ways: one file must give one action"
+                raise PolicyError(PolicyFault.RANDOM, text)
 
 
 def _read_contract(data: bytes, source: str) -> PolicyContract:
@@ -190,12 +201,13 @@ def _read_contract(data: bytes, source: str) -> PolicyContract:
         raise PolicyError(PolicyFault.CORRUPT, f"{source} is not an ONNX model: {error}") from error
     if head.external_data:
         raise PolicyError(PolicyFault.EXTERNAL_DATA, f"{source} keeps weights in another file: export it as one file")
-    if set(head.opsets) != {""} or head.opsets[""] not in OPSETS:
+    if head.opsets.get("") not in OPSETS:
         raise PolicyError(
             PolicyFault.OPSET,
-            f"{source} uses operator sets {head.opsets}, only the standard one is admitted, versions {OPSETS[0]} to "
+            f"{source} imports operator sets {head.opsets}, admitted is the standard one in versions {OPSETS[0]} to "
             f"{OPSETS[-1]}",
         )
+    _check_operators(head, source)
     text = head.metadata.get(METADATA_KEY)
     if text is None:
         raise PolicyError(PolicyFault.CONTRACT_MISSING, f"{source} has no metadata {METADATA_KEY!r}")
@@ -203,6 +215,23 @@ def _read_contract(data: bytes, source: str) -> PolicyContract:
         return PolicyContract.from_json(text)
     except ContractError as error:
         raise PolicyError(PolicyFault.CONTRACT_INVALID, f"{source}: {error}") from error
+
+
+def _check_operators(head: onnx_file.OnnxFile, source: str) -> None:
+    """Judge the nodes of every graph, subgraph and function; an import that no node uses is no reason to refuse."""
+    foreign = [one for one in head.operators if one.domain and (one.domain, one.name) not in head.functions]
+    if foreign:
+        names = ", ".join(sorted(f"{one.domain}.{one.name}" for one in foreign))
+        raise PolicyError(PolicyFault.OPSET, f"{source} uses {names}; only operators of the standard set are admitted")
+    sampling = sorted(
+        {one.name for one in head.operators if one.name in RANDOM}
+        | {one.name for one in head.operators if one.name == "Dropout" and one.inputs >= DROPOUT_TRAINING_INPUTS}
+    )
+    if sampling:
+        raise PolicyError(
+            PolicyFault.RANDOM,
+            f"{source} draws random numbers ({', '.join(sampling)}): one file must give one action; export its mean",
+        )
 
 
 def _session(data: bytes) -> Any:

@@ -9,6 +9,7 @@ import contextlib
 import json
 import os
 import resource
+import signal
 import socket
 import statistics
 import struct
@@ -136,7 +137,8 @@ def _rehearse(policy: Policy) -> float:
 
 
 def _confine(parent: int) -> None:
-    """Give up real-time priority, bound the memory, and end with the parent in whatever way that one ends."""
+    """Give up real-time priority, bound the memory, and end with the parent, in whatever way that one ends."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # when a host shuts down, the parent stops the arm first
     if (bind := bound_to(parent)) is not None:
         bind()
     with contextlib.suppress(OSError):

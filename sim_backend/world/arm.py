@@ -23,6 +23,10 @@ PROTECTIVE_FORCE_N = 150.0
 PROTECTIVE_ERROR_RAD = 0.05
 STOP_S = 0.1
 """Time in which a stop's speed limit falls to zero, s: long enough to yield to a contact. Noise cannot prolong it."""
+FOLLOW_S = 0.02
+"""Time constant with which the reference of a blind stop follows the arm, s."""
+FOLLOW_SHARE = 0.3
+"""Share of its change that the twist of a blind stop takes in one tick; an arm cannot stop at once."""
 MIN_PROTECTIVE_STOP_S = 5.0
 """Shortest protective stop, s. An earlier unlock is refused, as on a UR controller."""
 
@@ -160,6 +164,7 @@ class ArmController:
             cells: (k,) arms.
             reason: why.
             blind: do not yield to the sensor meanwhile, because it is not believed; valid for a stop under way, too.
+                The reference follows the arm instead, which takes the servos' push away.
         """
         if blind:
             self._blind[cells] = True
@@ -198,7 +203,7 @@ class ArmController:
         if engaged.all():
             advance(self.law, self.reference, self.target_position, self.target_quaternion, wrench)
         else:
-            self._advance_some(wrench)
+            self._advance_some(wrench, position, orientation)
         # every arm has a phase of its own, so that an event of one arm does not affect another
         due = self._phase == 0
         if due.all():
@@ -248,8 +253,7 @@ class ArmController:
         if lagging.any():
             self._protect(np.flatnonzero(lagging), StopReason.PROTECTIVE_FORCE)
             self.joints[lagging] = joints[lagging]
-        used = known & ~self._blind
-        return wrench if used.all() else np.where(used[:, None], wrench, 0.0)
+        return wrench if known.all() else np.where(known[:, None], wrench, 0.0)
 
     def _brake(self, racing: BoolArray, rates: FloatArray) -> None:
         """Stop arms with a joint rate beyond its limit, the first sign of a near singularity."""
@@ -271,17 +275,42 @@ class ArmController:
         self.reference.twist[fresh] = 0.0
         self._phase[fresh] = 0
 
-    def _advance_some(self, wrench: FloatArray) -> None:
+    def _advance_some(self, wrench: FloatArray, position: FloatArray, orientation: FloatArray) -> None:
         """Advance the law for arms that are engaged or coming to rest. The others hold their reference."""
         held = (self.program == Program.IDLE) | (self.program == Program.PROTECTIVE_STOP)
         stopping = self.program == Program.STOPPING
+        blind = np.flatnonzero(stopping & self._blind)
+        before = self.reference.position[blind], self.reference.quaternion[blind], self.reference.twist[blind]
         left = np.maximum(1.0 - self._halted[stopping] * (TICK_S / STOP_S), 0.0)
         self.law.max_speed[stopping] = self._max_speed[stopping] * left[:, None]
         kept = self.reference.position[held].copy(), self.reference.quaternion[held].copy()
         advance(self.law, self.reference, self.target_position, self.target_quaternion, wrench)
         self.reference.position[held], self.reference.quaternion[held] = kept
         self.reference.twist[held] = 0.0
+        if blind.size:
+            self._follow(blind, *before, position[blind], orientation[blind])
         self.program[np.flatnonzero(stopping)[left == 0.0]] = Program.IDLE
+
+    def _follow(
+        self,
+        cells: CellIndices,
+        at: FloatArray,
+        turned: FloatArray,
+        twist: FloatArray,
+        position: FloatArray,
+        orientation: FloatArray,
+    ) -> None:
+        """Let the reference of `cells` (k,), which was `at` (k, 3) and `turned` (k, 4) with a `twist` (k, 6), follow
+        the arm's measured `position` (k, 3) and `orientation` (k, 4).
+        """
+        offset = np.concatenate([position - at, quaternion.between(turned, orientation)], axis=1)
+        twist += FOLLOW_SHARE * (offset / FOLLOW_S - twist)
+        pairs = twist.reshape(-1, 2, 3)
+        speed = np.sqrt((pairs * pairs).sum(2))
+        pairs *= np.minimum(1.0, self.law.max_speed[cells] / np.maximum(speed, 1e-12))[:, :, None]
+        quaternion.turn(turned, (0.5 * TICK_S) * twist[:, 3:])
+        self.reference.position[cells] = at + TICK_S * twist[:, :3]
+        self.reference.quaternion[cells], self.reference.twist[cells] = turned, twist
 
     def _solve(self, cells: CellIndices) -> None:
         """Bring the joints exactly onto the reference, and refresh the Jacobian's inverse and the payload's sag."""

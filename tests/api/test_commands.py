@@ -56,7 +56,7 @@ async def test_a_latched_cell_refuses_a_start_with_the_code(api: Api, cell: Wire
     assert (problem["code"], problem["reason"], problem["state"]) == ("FORCE_CEILING", "LATCHED", "LATCHED")
 
 
-async def test_a_policy_that_does_not_fit_is_422_with_the_mismatch(api: Api, cell: WireCell) -> None:
+async def test_27_a_policy_that_does_not_fit_is_422_with_the_mismatch(api: Api, cell: WireCell) -> None:
     cell.refuse_start = Problem(
         reason=RefusalReason.POLICY_REFUSED,
         detail="the policy wants hole_position, the cell has no camera",
@@ -135,7 +135,7 @@ async def test_a_stop_whose_arm_still_moves_is_202_and_never_called_confirmed(ap
 
 
 @pytest.mark.parametrize("state", [CellState.READY, CellState.LATCHED, CellState.OFFLINE, CellState.CONNECTING])
-async def test_a_stop_is_delivered_in_every_state(api: Api, cell: WireCell, state: CellState) -> None:
+async def test_41_a_stop_of_any_caller_is_delivered_in_every_state(api: Api, cell: WireCell, state: CellState) -> None:
     cell.state = state
     response = await api.http.post("/stop")
     assert response.is_success
@@ -202,7 +202,7 @@ async def test_a_reset_acknowledges_the_code_that_the_operator_saw(api: Api, cel
     assert not cell.runs
 
 
-async def test_a_reset_with_no_fault_is_409(api: Api) -> None:
+async def test_42_a_reset_with_no_fault_is_409(api: Api) -> None:
     response = await api.http.post("/reset", json={"operator": "M. Sato"})
     assert response.status_code == 409
     assert response.json()["reason"] == "NOT_LATCHED"

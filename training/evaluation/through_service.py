@@ -131,7 +131,7 @@ def play(
         service = processes.enter_context(_process(["control", "--config", str(config)], logs[1]))
         try:
             return asyncio.run(_play(seeds, setting, cell_endpoint, sim_endpoint, on_episode))
-        except (CellError, LostRunError, TimeoutError) as error:
+        except (CellError, LostRunError, ServiceError, TimeoutError) as error:
             said = "\n".join(log.read_text()[-2000:] for log in logs)
             ended = sum(process.poll() is not None for process in (simulator, service))
             text = f"{error or 'nothing within its time'}; {ended} of 2 processes have ended; they said:\n{said}"
@@ -186,7 +186,7 @@ def _configuration(
     limits = {
         "force_ceiling_n": setting.force_ceiling_n,
         "workspace_m": LIMITS.workspace,
-        "max_contact_share": 1.0,  # a measurement, not a cell at work: as `allow_lock`
+        "max_contact_share": 0.8,  # the largest: a measurement, not a cell at work, as `allow_lock`
     }
     sections: dict[str, dict[str, Any]] = {
         "cell": {

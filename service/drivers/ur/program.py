@@ -13,6 +13,8 @@ from wire.records import Program, StopReason
 
 STOP_S = 0.1
 """Time within which a stop's speed limit falls to zero, s, as in the simulated arm."""
+FOLLOW_S = 0.02
+"""Time constant with which the reference of a blind stop follows the arm, s, as in the simulated arm."""
 RETRACT_SPEED_M_S = 0.02
 SETTLE_S = 0.1
 """Time that a stop's confirmation needs beyond the stop itself, s: transport, and samples of a standing arm."""
@@ -79,6 +81,7 @@ def render(config: CellConfig) -> ControlProgram:
         "ZERO_MAX_TORQUE": _number(preflight.unzeroed_torque_nm),
         "ZERO_MAX_SPEED": _number(STANDSTILL_M_S),
         "STOP_TIME": _number(STOP_S),
+        "FOLLOW_TIME": _number(FOLLOW_S),
         "RETRACT": _number(ur.stop_retract_m),
         "RETRACT_SPEED": _number(RETRACT_SPEED_M_S),
         "ACCELERATION": _number(ACCELERATION_M_S2),

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from service.policy.contract import ObservationEntry, PolicyContract
-from tests.service.policy.model_files import contract, failing_model, hanging_model, linear_model
+from tests.service.policy.model_files import contract, failing_model, greedy_model, hanging_model, linear_model
 from training.environment.design import LAW, LOCK
 
 OBSERVATION = (
@@ -65,3 +65,8 @@ def pressing(folder: Path, **changes: object) -> Path:
     weights = np.zeros((asked.observation_size, len(asked.action)))
     weights[-1, 2] = -20.0
     return save(folder / "pressing.onnx", linear_model(asked, weights=weights))
+
+
+def greedy(folder: Path) -> Path:
+    """Wants more memory than a machine has to spare."""
+    return save(folder / "greedy.onnx", greedy_model(document(hidden_size=1)))

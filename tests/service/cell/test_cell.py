@@ -213,7 +213,7 @@ async def test_a_stop_of_an_idle_cell_is_accepted_and_latches_nothing(
         assert bench.cell.journal.latch is None
 
 
-async def test_a_reset_in_advance_is_refused_and_a_later_fault_still_latches(faulty_cell: FaultyCell) -> None:
+async def test_42_a_reset_in_advance_is_refused_and_a_later_fault_still_latches(faulty_cell: FaultyCell) -> None:
     async with faulty_cell() as faulty:
         answer = await faulty.bench.cell.reset(ResetRequest())
         assert isinstance(answer, Refused)
@@ -223,7 +223,7 @@ async def test_a_reset_in_advance_is_refused_and_a_later_fault_still_latches(fau
         await faulty.assert_latched(run, FaultCode.OPERATOR_STOP)
 
 
-async def test_a_reset_leads_to_ready_moves_nothing_and_resumes_nothing(faulty_cell: FaultyCell) -> None:
+async def test_44_a_reset_leads_to_ready_moves_nothing_and_resumes_nothing(faulty_cell: FaultyCell) -> None:
     async with faulty_cell() as faulty:
         bench = faulty.bench
         run = await faulty.running()

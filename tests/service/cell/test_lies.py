@@ -13,7 +13,7 @@ import pytest
 
 from service.drivers.base import Sample
 from service.faults import FaultCode
-from service.messages import CellState, Run, RunState
+from service.messages import CellState, Run, RunState, StopRequest
 from service.testing import Bench
 from service.testing.lying_sensor import LIES, LyingSensor
 from sim_backend.world.world import World
@@ -99,6 +99,18 @@ async def test_66_a_wrong_sign_or_axis_latches_at_the_touch_and_the_arm_does_not
         run = await cell.lie(name, moment)
         assert (run.state, run.code) == (RunState.LATCHED, FaultCode.SENSOR_INVALID)
         assert "the joints feel" in run.text
+        await assert_stands(cell)
+        assert cell.sensor.peak_n < FORCE_CEILING_N
+
+
+async def test_66_an_operator_s_stop_in_contact_does_not_yield_to_a_wrong_sign_either(arm: Arm, tmp_path: Path) -> None:
+    async with lying_cell(arm, tmp_path) as cell:
+        run = await cell.bench.start(BESIDE)
+        await cell.bench.until(lambda: cell.sensor.peak_n > TOUCHED_N)
+        cell.sensor.begin(LIES["sign of all"])
+        cell.bench.cell.stop(StopRequest())
+        run = await cell.bench.ended(run)
+        assert run.code is FaultCode.OPERATOR_STOP, "it came first"
         await assert_stands(cell)
         assert cell.sensor.peak_n < FORCE_CEILING_N
 

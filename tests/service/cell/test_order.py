@@ -1,30 +1,19 @@
-"""Starts and stops in every order, and on a slow disk: the stop wins, and no run is told before it is one.
-
-The outcome is judged by the simulated arm, the orders that its driver had, the record and the answers.
-"""
+"""Starts, stops and resets in every order: the stop wins, and no run is told before it is one."""
 
 import asyncio
-import os
-import threading
 import time
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 import zenoh
 
 from service import messages
 from service.cell.control_plane import ControlPlane
 from service.cell.journal.ledger import FILE_NAME
-from service.drivers.base import Driver
 from service.envelope import ENVELOPE_VERSION, QUERY_TICKET, Envelope, TicketRequest, TicketResult
 from service.faults import FaultCode
 from service.messages import (
     CellState,
-    EventKind,
     Message,
     RefusalReason,
     Refused,
@@ -35,70 +24,14 @@ from service.messages import (
     StatusResult,
     StopRequest,
 )
-from service.testing import RECIPE, Bench, cell_config, lockstep_cell
+from service.testing import RECIPE
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
-from tests.service.cell.faulty_driver import FaultyDriver
+from tests.service.cell.raced_cell import assert_no_run_was_told, assert_nothing_moves, ends_well, ready_cell, reason_of
 from tests.service.sim_server import free_endpoint
 from wire.session import close_session, open_session, query
 
 CELL = "under-test"
-
-
-@asynccontextmanager
-async def ready_cell(tmp_path: Path) -> AsyncIterator[tuple[Bench, FaultyDriver]]:
-    drivers: list[FaultyDriver] = []
-
-    def wrap(driver: Driver) -> FaultyDriver:
-        drivers.append(FaultyDriver(driver))
-        return drivers[-1]
-
-    config = cell_config(tmp_path / "state", policies.straight(tmp_path), conditions="easy")
-    async with lockstep_cell(config, wrap=wrap) as bench:
-        await bench.state(CellState.READY)
-        yield bench, drivers[0]
-
-
-@contextmanager
-def held_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
-    """Hold every `fsync` of this process until the event is set, or the context ends."""
-    release, sync = threading.Event(), os.fsync
-
-    def slow(number: int) -> None:
-        release.wait(30.0)
-        sync(number)
-
-    monkeypatch.setattr(os, "fsync", slow)
-    try:
-        yield release
-    finally:
-        release.set()
-        monkeypatch.setattr(os, "fsync", sync)
-
-
-async def assert_nothing_moves(bench: Bench, driver: FaultyDriver) -> None:
-    assert driver.truth is not None
-    before = driver.truth.tcp_position
-    await bench.let_pass(1.0)
-    assert np.abs(driver.truth.tcp_position - before).max() < 2e-4
-    assert driver.said("engage") == driver.said("target") == []
-    assert bench.cell.runs.active is None
-
-
-def assert_no_run_was_told(bench: Bench) -> None:
-    assert bench.cell.journal.newest(100) == ()
-    assert bench.cell.status().run is None
-    assert [event for event in bench.events if event.kind is EventKind.RUN or event.run_id] == []
-
-
-def reason_of(answer: Message) -> RefusalReason:
-    assert isinstance(answer, Refused), answer
-    return answer.problem.reason
-
-
-async def ends_well(bench: Bench, **request: Any) -> None:
-    """A start that was received after the stop is carried out."""
-    assert (await bench.ended(await bench.start(EASY, **request))).state is RunState.SUCCEEDED
 
 
 # --- the order of a start and a stop
@@ -130,6 +63,38 @@ async def test_61_a_start_received_before_a_stop_is_refused_however_late_it_arri
         assert reason_of(await bench.cell.start(late)) is RefusalReason.STOPPED
         await assert_nothing_moves(bench, driver)
         await ends_well(bench)
+
+
+async def test_61_a_start_that_is_repeated_under_its_key_is_as_old_as_the_first(tmp_path: Path) -> None:
+    async with ready_cell(tmp_path) as (bench, driver):
+        given_up = {"idempotency_key": "k", "valid_until": bench.cell.journal.clock() - 1.0}
+        answer = await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY, **given_up))
+        assert reason_of(answer) is RefusalReason.EXPIRED
+        bench.cell.stop(StopRequest())
+        again = await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY, idempotency_key="k"))
+        assert reason_of(again) is RefusalReason.STOPPED
+        await assert_nothing_moves(bench, driver)
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2, 4, 8])
+@pytest.mark.parametrize("other", ["stop", "start", "reset"])
+async def test_44_a_reset_moves_nothing_whatever_comes_in_between(tmp_path: Path, other: str, turns: int) -> None:
+    async with ready_cell(tmp_path) as (bench, driver):
+        late = StartRequest(recipe=RECIPE, seed=EASY, after=bench.cell.mark)
+        bench.cell.halt(FaultCode.FORCE_CEILING, "injected")
+        await bench.state(CellState.LATCHED)
+        resetting = asyncio.create_task(bench.cell.reset(ResetRequest()))
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        if other == "stop":
+            bench.cell.stop(StopRequest())
+        elif other == "start":
+            assert reason_of(await bench.cell.start(late)) in {RefusalReason.LATCHED, RefusalReason.STOPPED}
+        else:
+            await bench.cell.reset(ResetRequest())
+        await resetting
+        assert (bench.cell.state, bench.cell.journal.latch) == (CellState.READY, None)
+        await assert_nothing_moves(bench, driver)
 
 
 async def test_61_a_start_received_before_a_latch_does_not_survive_its_reset(tmp_path: Path) -> None:
@@ -252,114 +217,6 @@ async def test_71_refused_starts_by_the_dozen_leave_no_run_and_are_all_answered_
         await assert_nothing_moves(bench, driver)
         assert_no_run_was_told(bench)
     assert '"run"' not in (tmp_path / "state" / FILE_NAME).read_text()
-
-
-# --- a disk that takes its time
-
-
-async def waiting_for_the_disk(bench: Bench, **request: Any) -> asyncio.Task[Any]:
-    start = asyncio.create_task(bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY, **request)))
-    await bench.until(lambda: b'"run"' in (bench.cell.config.cell.state_dir / FILE_NAME).read_bytes())
-    await bench.let_pass(0.1)
-    assert not start.done()
-    assert_no_run_was_told(bench)
-    assert not bench.cell.status().can_start
-    return start
-
-
-async def test_78_a_stop_while_a_start_waits_for_the_disk_refuses_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with ready_cell(tmp_path) as (bench, driver):
-        with held_disk(monkeypatch) as release:
-            start = await waiting_for_the_disk(bench)
-            assert bench.cell.stop(StopRequest()).status.state is CellState.READY
-            release.set()
-            assert reason_of(await start) is RefusalReason.STOPPED
-        await assert_nothing_moves(bench, driver)
-        assert_no_run_was_told(bench)
-    async with ready_cell(tmp_path) as (bench, _):
-        assert bench.cell.journal.latch is None, "the next process knows that it was refused"
-        assert_no_run_was_told(bench)
-
-
-async def test_78_a_start_whose_client_gave_up_while_the_disk_was_slow_moves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with ready_cell(tmp_path) as (bench, driver):
-        clock = bench.cell.journal.clock
-        with held_disk(monkeypatch) as release:
-            start = await waiting_for_the_disk(bench, valid_until=clock() + 8.0, idempotency_key="k")
-            monkeypatch.setattr(bench.cell.journal, "clock", lambda: clock() + 12.0)
-            release.set()
-            assert reason_of(await start) is RefusalReason.EXPIRED
-        await assert_nothing_moves(bench, driver)
-        assert_no_run_was_told(bench)
-        await ends_well(bench, idempotency_key="k")
-
-
-async def test_78_a_latch_while_a_start_waits_for_the_disk_refuses_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with ready_cell(tmp_path) as (bench, driver):
-        with held_disk(monkeypatch) as release:
-            start = await waiting_for_the_disk(bench)
-            bench.cell.halt(FaultCode.FORCE_CEILING, "injected")
-            await bench.state(CellState.LATCHED)
-            release.set()
-            assert reason_of(await start) is RefusalReason.LATCHED
-        await assert_nothing_moves(bench, driver)
-
-
-async def test_51_a_slow_disk_refuses_starts_with_the_reason_and_a_stop_works(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with ready_cell(tmp_path) as (bench, driver):
-        run = await bench.start(EASY)
-        await bench.state(CellState.APPROACH)
-        monkeypatch.setattr("service.cell.journal.storage.SLOW_S", 0.2)
-        with held_disk(monkeypatch) as release:
-            status = bench.cell.stop(StopRequest()).status
-            assert status.state is CellState.STOPPING
-            await bench.state(CellState.LATCHED)
-            async with asyncio.timeout(10):
-                while not bench.cell.status().degradations:
-                    await asyncio.sleep(0.01)
-            assert "has not answered" in bench.cell.status().degradations[-1]
-            monkeypatch.setattr("service.cell.journal.journal.RESET_S", 0.2)
-            assert reason_of(await bench.cell.reset(ResetRequest())) is RefusalReason.STORAGE
-            release.set()
-        async with asyncio.timeout(10):
-            while bench.cell.journal.fault is not None:
-                await asyncio.sleep(0.01)
-        assert isinstance(await bench.cell.reset(ResetRequest()), StatusResult)
-        found = bench.cell.journal.find(run.id)
-        assert found is not None
-        assert found.code is FaultCode.OPERATOR_STOP
-        assert len(driver.said("engage")) == 1
-
-
-# --- a state directory that others alter
-
-
-@pytest.mark.parametrize("name", [FILE_NAME, "latch.json", ""], ids=["ledger", "latch", "directory"])
-async def test_69_what_was_moved_away_is_said_and_refuses_every_start(tmp_path: Path, name: str) -> None:
-    async with ready_cell(tmp_path) as (bench, driver):
-        (tmp_path / "state" / name).rename(tmp_path / "moved")
-        answer = await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY))
-        async with asyncio.timeout(10):
-            while not bench.cell.status().degradations:
-                await asyncio.sleep(0.01)
-        assert "was altered, moved or deleted" in bench.cell.status().degradations[-1]
-        if name != "latch.json":
-            assert reason_of(answer) is RefusalReason.STORAGE, "it was asked for at once, and wanted its line there"
-            await assert_nothing_moves(bench, driver)
-        if isinstance(answer, Refused):
-            again = await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY))
-            assert reason_of(again) is RefusalReason.STORAGE
-
-
-# --- clocks of day
 
 
 @pytest.mark.parametrize("step_s", [-86_400.0, 86_400.0], ids=["back", "forward"])

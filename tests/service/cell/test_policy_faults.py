@@ -1,11 +1,13 @@
-"""Faults of the policy, in its file and in its answers: rows 2, 24, 25 and 27 to 29."""
+"""Faults of the policy, in its file and in its answers: rows 2, 24, 25, 27 to 29, 68 and 73."""
 
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import pytest
+from onnx import helper
 
 from service.faults import FaultCode
 from service.messages import CellState, RunState
@@ -15,6 +17,7 @@ from service.safety.dsl import DslParameters
 from service.testing import RECIPE, cell_config, lockstep_cell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyCell
+from tests.service.policy.model_files import linear_model
 from training.environment import design
 from training.environment.design import LAW
 
@@ -137,6 +140,35 @@ async def test_27_a_contract_that_does_not_fit_is_refused_with_the_mismatch(tmp_
     policy = policies.still(tmp_path, parts=("cir",))
     async with lockstep_cell(cell_config(tmp_path / "state", policy)) as bench:
         with pytest.raises(AssertionError, match="the policy is for cir, the cell assembles tr"):
+            await bench.start()
+        assert bench.cell.state is CellState.READY
+
+
+async def test_27_a_graph_of_another_shape_than_its_contract_is_refused_with_both(tmp_path: Path) -> None:
+    asked = policies.document()
+    other = linear_model(asked, observation_size=asked.observation_size + 1)
+    policy = policies.save(tmp_path / "other.onnx", other)
+    async with lockstep_cell(cell_config(tmp_path / "state", policy)) as bench:
+        with pytest.raises(AssertionError, match=r"SIGNATURE: .*observation is tensor.* want tensor"):
+            await bench.start()
+        assert bench.cell.state is CellState.READY
+        assert bench.cell.journal.newest(10) == ()
+
+
+async def test_29_weights_in_another_file_refuse_the_recipe_and_the_cell_is_well(tmp_path: Path) -> None:
+    path = tmp_path / "p.onnx"
+    onnx.save(linear_model(policies.document()), path, save_as_external_data=True, location="w.bin", size_threshold=0)
+    async with lockstep_cell(cell_config(tmp_path / "state", path)) as bench:
+        with pytest.raises(AssertionError, match="POLICY_REFUSED: EXTERNAL_DATA"):
+            await bench.start()
+        assert bench.cell.state is CellState.READY
+
+
+async def test_73_a_graph_that_samples_refuses_its_recipe(tmp_path: Path) -> None:
+    noise = helper.make_node("RandomNormalLike", ["product"], ["noise"])
+    policy = policies.save(tmp_path / "noisy.onnx", linear_model(policies.document(), extra_nodes=[noise]))
+    async with lockstep_cell(cell_config(tmp_path / "state", policy)) as bench:
+        with pytest.raises(AssertionError, match=r"POLICY_REFUSED: RANDOM: .*\(RandomNormalLike\)"):
             await bench.start()
         assert bench.cell.state is CellState.READY
 

@@ -1,7 +1,9 @@
 """The policy's process: what it answers, and what becomes of one that hangs, dies or lies. Rows 24, 26, 28 and 72."""
 
 import asyncio
+import errno
 import os
+import resource
 import signal
 import time
 from collections.abc import AsyncIterator
@@ -199,7 +201,7 @@ async def test_28_a_policy_replaced_on_disk_runs_on_and_the_next_start_is_refuse
     async with real_cell(tmp_path, free_endpoint, policy) as (cell, _):
         run_id = await started(cell)
         policy.write_bytes(policies.still(tmp_path).read_bytes())
-        await until(lambda: cell.state is CellState.READY)
+        await until(lambda: cell.runs.find(run_id) is not None and cell.runs.active is None)
         run = cell.runs.find(run_id)
         assert run is not None
         assert run.state is RunState.SUCCEEDED, run.text
@@ -231,6 +233,28 @@ def test_a_policy_slower_than_its_deadline_is_refused(tmp_path: Path) -> None:
     wanted = pytest.raises(PolicyError, match=r"TOO_SLOW: .* ms for one inference, limits.policy_deadline_s is")
     with closing(PolicyProcess(policy, step_limit_s=1e-7)) as worker, wanted:
         worker.loaded()
+
+
+def test_29_a_model_that_wants_all_memory_is_refused(tmp_path: Path) -> None:
+    with closing(PolicyProcess(policies.greedy(tmp_path), step_limit_s=1.0)) as worker, pytest.raises(PolicyError):
+        worker.loaded()
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 2**20, "less than 1 GiB, in KiB"
+
+
+def test_a_policy_for_which_there_is_no_process_is_refused_and_tried_again(tmp_path: Path) -> None:
+    full = True
+
+    def opener(path: Path, sha256: str | None) -> PolicyProcess:
+        if full:
+            raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        return PolicyProcess(path, sha256, step_limit_s=1.0)
+
+    config = cell_config(tmp_path / "state", policies.still(tmp_path))
+    with closing(PolicyShelf(config, TICK_S, opener)) as shelf:
+        with pytest.raises(PolicyRefusedError, match=r"no process for .* can be made: Resource"):
+            shelf.admit(RECIPE)
+        full = False
+        shelf.admit(RECIPE)
 
 
 def test_recipes_with_one_policy_share_a_process(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 from service.cell.standstill import STOP_AGAIN_TICKS, Standstill
 from service.drivers.base import Program
 from service.safety.stop import StopState
+from service.safety.witness import Witness, WitnessParameters
 
 STILL = np.zeros(6)
 MOVING = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -21,6 +22,7 @@ class Arm:
     def __init__(self) -> None:
         self.seq = 0
         self.told: list[str] = []
+        self.wrench = np.zeros(6)
 
     def clock(self) -> float:
         return self.seq * TICK_S
@@ -29,14 +31,21 @@ class Arm:
         self.told.append("stop")
 
     def stop_blind(self) -> None:
-        self.stop()
+        self.told.append("stop blind")
 
     def escalate(self) -> None:
         self.told.append("escalate")
 
     def sample(self, program: Program, velocity: np.ndarray = STILL) -> SimpleNamespace:
         self.seq += 1
-        return SimpleNamespace(program=program, tcp_velocity=velocity, arrival_s=self.clock(), seq=self.seq)
+        return SimpleNamespace(
+            program=program,
+            tcp_velocity=velocity,
+            arrival_s=self.clock(),
+            seq=self.seq,
+            wrench=self.wrench,
+            joint_force=np.zeros(3),
+        )
 
 
 @pytest.fixture
@@ -101,3 +110,21 @@ def test_silence_is_escalated_at_the_deadline_too(arm: Arm, standstill: Standsti
     assert standstill.on_silence(DEADLINE_S - TICK_S) is StopState.WAITING
     assert standstill.on_silence(DEADLINE_S + TICK_S) is StopState.UNCONFIRMED
     assert arm.told == ["escalate"]
+
+
+def test_66_a_stop_whose_sensor_turns_out_to_lie_becomes_blind_and_stays_so(arm: Arm, standstill: Standstill) -> None:
+    standstill.begin(Witness(WitnessParameters(12.0, 0.01, 6.0), TICK_S, np.zeros(3)))
+    after(0.02, standstill, arm, Program.STOPPING, STILL)
+    assert arm.told == []
+    arm.wrench = np.array([0.0, 0.0, -20.0, 0.0, 0.0, 0.0])
+    after(0.04, standstill, arm, Program.STOPPING, STILL)
+    assert arm.told == ["stop blind"]
+    standstill.stop()
+    assert arm.told[-1] == "stop blind"
+    standstill.begin()
+    standstill.stop()
+    assert arm.told[-1] == "stop"
+    standstill.begin(blind=True)
+    standstill.disbelieve()
+    standstill.stop()
+    assert arm.told[-1] == "stop blind"

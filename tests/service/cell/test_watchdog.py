@@ -106,6 +106,11 @@ async def running(tmp_path: Path) -> AsyncIterator[Stand]:
                 await asyncio.to_thread(close_session, session)
 
 
+def run_time_s(pid: int) -> float:
+    """Return the time for which a process's main thread has run."""
+    return int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) * 1e-9
+
+
 async def test_50_a_loop_that_hangs_in_a_run_is_stopped_from_outside(tmp_path: Path) -> None:
     async with running(tmp_path) as stand:
         stand.process.send_signal(signal.SIGSTOP)
@@ -141,8 +146,12 @@ async def test_50_a_hog_that_delays_every_turn_latches_overrun(tmp_path: Path) -
         while stand.witness.engaged():
             stand.process.send_signal(signal.SIGSTOP)
             await asyncio.sleep(0.05)
+            ran = run_time_s(stand.process.pid)
             stand.process.send_signal(signal.SIGCONT)
-            await asyncio.sleep(0.003)
+            # Long enough for one turn, on a loaded machine too, and too short for two
+            while stand.witness.engaged() and run_time_s(stand.process.pid) - ran < 1e-3:
+                await asyncio.sleep(0.001)
+        stand.process.send_signal(signal.SIGCONT)
         await until(lambda: stand.client.state is CellState.LATCHED)
         assert stand.latch is not None
         assert stand.latch.code is FaultCode.OVERRUN, stand.latch.text

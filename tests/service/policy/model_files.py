@@ -124,6 +124,19 @@ def hanging_model(document: PolicyContract, when: str) -> onnx.ModelProto:
     return _recurrent(document, nodes)
 
 
+def greedy_model(document: PolicyContract) -> onnx.ModelProto:
+    """A policy of a few hundred bytes that wants 16 GiB."""
+    make = helper.make_node
+    nodes = [
+        make("ConstantOfShape", ["huge"], ["much"]),
+        make("ReduceSum", ["much"], ["sum"], keepdims=0),
+        make("MatMul", ["observation", "W"], ["product"]),
+        make("Add", ["product", "sum"], ["action"]),
+        make("Add", ["hidden", "one"], ["next_hidden"]),
+    ]
+    return _recurrent(document, nodes)
+
+
 def failing_model(document: PolicyContract) -> onnx.ModelProto:
     """A policy that answers with NaN in a real run, and with zero when it is tried at loading."""
     make = helper.make_node
@@ -158,6 +171,7 @@ def _recurrent(document: PolicyContract, nodes: Sequence[onnx.NodeProto]) -> onn
         "one": np.ones(1, np.float32),
         "nil": np.zeros(1, np.float32),
         "nan": np.full(1, np.nan, np.float32),
+        "huge": np.array([2**32]),
         "third": np.array([2]),
         "never": np.array([0]),
         "ever": np.array([2**62]),

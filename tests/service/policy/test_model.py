@@ -8,6 +8,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
+from service.policy import model as model_module
 from service.policy.contract import METADATA_KEY
 from service.policy.model import SIZE_LIMIT_BYTES, Policy, PolicyError, PolicyFault
 from tests.service.policy.model_files import contract, linear_model
@@ -165,9 +166,99 @@ def test_an_operator_set_that_is_not_admitted_is_refused(opset: int) -> None:
 
 
 def test_operators_of_others_are_refused() -> None:
+    model = linear_model(extra_nodes=[helper.make_node("FastGelu", ["product"], ["odd"], domain="com.microsoft")])
+    model.opset_import.append(helper.make_opsetid("com.microsoft", 1))
+    error = refused(model)
+    assert error.reason is PolicyFault.OPSET
+    assert "com.microsoft.FastGelu" in error.text
+
+
+@pytest.mark.parametrize("domain", ["com.example", "ai.onnx.ml", "com.microsoft"])
+def test_73_a_standard_graph_with_an_import_that_it_does_not_use_is_admitted(domain: str) -> None:
     model = linear_model()
-    model.opset_import.append(helper.make_opsetid("com.example", 1))
-    assert refused(model).reason is PolicyFault.OPSET
+    model.opset_import.append(helper.make_opsetid(domain, 1))
+    with_it, without = (Policy(one.SerializeToString()) for one in (model, linear_model()))
+    seen = np.ones(SIZE, np.float32)
+    np.testing.assert_array_equal(with_it.act(seen)[0], without.act(seen)[0])
+
+
+def test_73_a_standard_graph_in_functions_of_its_own_is_admitted() -> None:
+    function = helper.make_function(
+        "local", "Squash", ["x"], ["y"], [helper.make_node("Tanh", ["x"], ["y"])], [helper.make_opsetid("", 17)]
+    )
+    model = linear_model()
+    model.graph.node[1].CopyFrom(helper.make_node("Squash", ["product"], ["action"], domain="local"))
+    model.functions.append(function)
+    model.opset_import.append(helper.make_opsetid("local", 1))
+    seen = np.ones(SIZE, np.float32)
+    action = Policy(model.SerializeToString()).act(seen)[0]
+    np.testing.assert_allclose(action, Policy(linear_model().SerializeToString()).act(seen)[0])
+
+
+def sampling(operator: str) -> list[onnx.NodeProto]:
+    """Nodes that draw with `operator` from `product`, and give `drawn`."""
+    shaped = {"shape": [1, 4]} if operator in ("RandomNormal", "RandomUniform") else {}
+    inputs = [] if shaped else ["product"]
+    if operator == "Dropout":
+        truth = numpy_helper.from_array(np.array(True), "t")
+        half = numpy_helper.from_array(np.array(0.5, np.float32), "h")
+        constants = [helper.make_node("Constant", [], [n], value=v) for n, v in (("half", half), ("training", truth))]
+        return [*constants, helper.make_node(operator, ["product", "half", "training"], ["drawn"])]
+    return [helper.make_node(operator, inputs, ["drawn"], **shaped)]
+
+
+SAMPLERS = (
+    "RandomNormal",
+    "RandomNormalLike",
+    "RandomUniform",
+    "RandomUniformLike",
+    "Multinomial",
+    "Bernoulli",
+    "Dropout",
+)
+
+
+@pytest.mark.parametrize("operator", SAMPLERS)
+def test_73_a_graph_that_samples_is_refused_by_the_operator_s_name(operator: str) -> None:
+    error = refused(linear_model(extra_nodes=sampling(operator)))
+    assert error.reason is PolicyFault.RANDOM
+    assert f"({operator})" in error.text
+
+
+def test_73_an_operator_that_samples_is_found_in_a_branch_and_in_a_function() -> None:
+    inner = helper.make_graph(
+        [helper.make_node("RandomNormal", [], ["c"], shape=[4])],
+        "inner",
+        [],
+        [helper.make_tensor_value_info("c", TensorProto.FLOAT, [4])],
+    )
+    truth = helper.make_node("Constant", [], ["truth"], value=numpy_helper.from_array(np.array(True), "t"))
+    branch = helper.make_node("If", ["truth"], ["unused"], then_branch=inner, else_branch=inner)
+    assert refused(linear_model(extra_nodes=[truth, branch])).reason is PolicyFault.RANDOM
+    model = linear_model()
+    nodes = [helper.make_node("Bernoulli", ["x"], ["y"])]
+    model.functions.append(helper.make_function("local", "F", ["x"], ["y"], nodes, [helper.make_opsetid("", 17)]))
+    assert refused(model).reason is PolicyFault.RANDOM
+
+
+def test_73_a_dropout_that_does_not_train_is_admitted() -> None:
+    model = linear_model()
+    model.graph.node[1].input[0] = "kept"
+    model.graph.node.insert(1, helper.make_node("Dropout", ["product"], ["kept"]))
+    Policy(model.SerializeToString())
+
+
+def test_73_a_graph_that_answers_twice_in_two_ways_is_refused_whatever_its_operators(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(model_module, "RANDOM", frozenset())
+    model = linear_model()
+    model.graph.node[1].input[0] = "noisy"
+    model.graph.node.insert(1, helper.make_node("RandomNormalLike", ["product"], ["noise"]))
+    model.graph.node.insert(2, helper.make_node("Add", ["product", "noise"], ["noisy"]))
+    error = refused(model)
+    assert error.reason is PolicyFault.RANDOM
+    assert "in two ways" in error.text
 
 
 def test_an_operator_that_does_not_exist_is_refused() -> None:

@@ -75,6 +75,24 @@ def test_any_bytes_are_read_or_malformed(data: bytes) -> None:
         return
 
 
+def test_the_operators_of_every_graph_are_read_with_their_inputs() -> None:
+    model = linear_model(extra_nodes=[helper.make_node("Clip", ["product", "", "most"], ["cut"], domain="ai.onnx")])
+    found = inspect(model.SerializeToString())
+    assert {(one.domain, one.name, one.inputs) for one in found.operators} == {
+        ("", "MatMul", 2),
+        ("", "Tanh", 1),
+        ("", "Clip", 3),
+    }
+    assert found.functions == frozenset()
+
+
+def test_an_operator_set_in_two_versions_is_malformed() -> None:
+    model = linear_model()
+    model.opset_import.append(helper.make_opsetid("ai.onnx", 18))
+    with pytest.raises(MalformedError, match="in two versions"):
+        inspect(model.SerializeToString())
+
+
 def test_functions_are_searched_for_external_data() -> None:
     tensor = onnx.TensorProto(data_location=onnx.TensorProto.EXTERNAL)
     function = helper.make_function(

@@ -354,3 +354,37 @@ def test_a_saturated_sensor_stops_the_program_of_its_own_arm_only():
     bench.arm.update(bench.joints, bench.wrench, bench.position, bench.orientation, np.array([True, False]))
     assert bench.arm.program.tolist() == [Program.STOPPING, Program.ENGAGED]
     assert bench.state[1] is StopReason.FORCE_CEILING
+
+
+@pytest.mark.parametrize("first", [None, StopReason.FORCE_CEILING])
+def test_a_blind_stop_does_not_yield_to_the_sensor_even_if_a_stop_was_under_way(first):
+    """A sensor with the wrong sign says that the arm is pulled on, and more so the further it gives way."""
+    moved = {}
+    for blind in (False, True):
+        bench = Bench()
+        bench.run(20)
+        if first is not None:
+            bench.arm.stop(ONLY, first)
+        bench.arm.stop(ONLY, StopReason.COMMAND, blind=blind)
+        bench.wrench[0, 2] = -29.0
+        bench.run(round(STOP_S / TICK_S) + 1)
+        assert bench.state[0] is Program.IDLE
+        moved[blind] = START[2] - bench.arm.reference.position[0, 2]
+    assert moved[False] > 2e-3
+    assert moved[True] == pytest.approx(0.0, abs=1e-6)
+    assert bench.arm.engage(ONLY, STIFFNESS, DAMPING, INERTIA, OF_TRAINING)[0]
+    bench.run(20)
+    assert bench.arm.reference.twist[0, 2] < 0.0, "the next law feels again"
+
+
+def test_a_blind_stop_lets_the_reference_follow_an_arm_that_is_held_back():
+    """The servos of an arm that cannot follow push; the reference that comes back to the arm takes the push away."""
+    bench = Bench()
+    bench.run(5)
+    lag = np.array([0.002, -0.001, 0.003])
+    bench.arm.stop(ONLY, StopReason.COMMAND, blind=True)
+    for _ in range(round(STOP_S / TICK_S) - 1):
+        held = bench.arm.update(bench.joints, bench.wrench, START + lag[None], bench.orientation)
+        assert np.isfinite(held).all()
+    assert bench.arm.reference.position[0] == pytest.approx(START + lag, abs=2e-4)
+    assert np.linalg.norm(bench.arm.reference.twist[0, :3]) < 5e-3

@@ -179,3 +179,24 @@ def test_nothing_of_an_episode_is_left_after_a_reset():
     for _ in range(6):
         ft.read(weight(DOWN), DOWN)
         assert ft.wrench[0] == pytest.approx(np.zeros(6), abs=1e-12)
+
+
+def test_a_drift_ends_once_the_sensor_is_warm_and_is_a_ramp_until_then():
+    ft = sensor(drift=np.array([0.02, 0, 0, 0, 0, 0]))
+    for ticks, drifted in ((0, 0.0), (25_000, 1.0), (50_000, 2.0), (7 * 24 * 3600 * 500, 2.0)):
+        ft._tick[0] = ticks
+        ft.read(weight(DOWN), DOWN)
+        assert ft.wrench[0, 0] == pytest.approx(drifted)
+
+
+def test_the_unzeroed_reading_keeps_what_a_zero_takes_away():
+    ft = sensor(bias=np.array([1.0, -2.0, 3.0, 0.1, 0.0, 0.0]))
+    before = None
+    for _ in range(20 * ZERO_TICKS):
+        ft.read(weight(DOWN), DOWN)
+    before = ft.unzeroed(DOWN)
+    assert before == pytest.approx(ft.wrench)
+    ft.zero(np.array([0]))
+    ft.read(weight(DOWN), DOWN)
+    assert ft.wrench == pytest.approx(np.zeros((1, 6)), abs=1e-6)
+    assert ft.unzeroed(DOWN) == pytest.approx(before)

@@ -6,13 +6,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.stands.touching_arm import Touch, touch
+from benchmarks.cases.force_overshoot import HEAVY
+from benchmarks.stands.touching_arm import LEASH_M, Touch, touch
 from service.safety.contact_loop import SHIFT, TILT, TURN, why_not_law
 from sim_backend.world import kinematics, scene
 from sim_backend.world.servo import gains
 from sim_backend.world.world import World
 from training.environment.design import LAW
+from wire.impact import CONTACT_N_M, peak_n, reached_m_s
 from wire.law import ComplianceLaw
+from wire.limits import FORCE_CEILING_N
 
 CALM_N = 0.75
 """Standard deviation of the true load that the sensor's noise alone causes, N; a swing causes more."""
@@ -34,6 +37,18 @@ def test_68_laws_just_inside_the_limit_stay_calm_on_stiff_contacts_and_laws_outs
     assert (touched.swing_n[: len(inside)] < CALM_N).all(), touched.swing_n
     swings = (touched.swing_n > CALM_N) | ~touched.engaged
     assert swings[len(inside) :].all(), touched.swing_n
+
+
+@pytest.mark.timeout(300)
+def test_the_true_force_of_a_touch_stays_within_its_bound() -> None:
+    for conditions, contact_n_m, law, speed in (
+        ("stiff", 4.0 * CONTACT_N_M, LAW, 0.04),
+        ("standard", CONTACT_N_M, HEAVY, 0.15),
+    ):
+        (peak,) = touch([Touch(law, speed, conditions, 4)], "rim", 0.02, FORCE_CEILING_N, settle_s=0.3).peak_n
+        bound = peak_n(reached_m_s(speed, LEASH_M, law), law.inertia[2], contact_n_m, FORCE_CEILING_N)
+        assert 0.9 * bound < peak <= bound, "the bound holds, and is no wider than it must be"
+        assert peak > FORCE_CEILING_N, "a ceiling alone bounds no blow"
 
 
 def test_the_followers_are_those_of_the_simulated_arm() -> None:

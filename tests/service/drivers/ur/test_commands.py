@@ -73,6 +73,20 @@ def test_a_stop_replaces_everything_at_once_and_is_repeated_until_another_order_
     assert Command(registers.values[1]) is Command.STOP
 
 
+def test_a_blind_stop_replaces_a_plain_one_and_is_not_replaced_by_one() -> None:
+    outbox, registers = an_outbox()
+    outbox.stop()
+    outbox.stop(blind=True)
+    outbox.stop()
+    outbox.stop(blind=True)
+    assert (Command(registers.values[1]), registers.values[2]) == (Command.STOP, 1.0)
+    outbox.observe(registers.look())
+    outbox.put(Command.TARGET, [0.5] * 6)
+    outbox.observe(registers.look())
+    outbox.stop()
+    assert (Command(registers.values[1]), registers.values[2]) == (Command.STOP, 0.0)
+
+
 def test_an_order_after_a_stop_waits_until_the_stop_was_seen() -> None:
     outbox, registers = an_outbox()
     outbox.put(Command.ZERO_FT)

@@ -270,6 +270,19 @@ def test_a_stop_decelerates_within_its_time_and_holds_where_the_arm_is() -> None
     assert np.abs(np.subtract(arm.plant.tcp_pose()[:3], at[:3])).max() < 4e-3
 
 
+@pytest.mark.parametrize("blind", [False, True])
+def test_66_a_blind_stop_does_not_yield_to_a_sensor_that_says_the_opposite(blind: bool) -> None:
+    arm = Arm().engaged()
+    at = arm.plant.tcp_pose()[2]
+    honest = arm.plant.flange_wrench
+    arm.plant.flange_wrench = lambda: [*honest()[:2], -12.0, *honest()[3:]]  # type: ignore[method-assign]
+    arm.order(Command.STOP, [1.0] if blind else [])
+    arm.tick(round(STOP_S / TICK_S) + 10)
+    assert arm.state == (Program.IDLE, StopReason.COMMAND)
+    moved_m = at - arm.plant.tcp_pose()[2]
+    assert moved_m < 2e-4 if blind else moved_m > 5e-4
+
+
 def test_a_stop_holds_for_as_long_as_it_stands_in_the_register_whatever_its_number() -> None:
     arm = Arm().engaged()
     arm.values = registers.input_values(1, Command.STOP, ())

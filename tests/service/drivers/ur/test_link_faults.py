@@ -35,7 +35,7 @@ async def garble(proxy: FaultProxy) -> None:
 
 
 @pytest.mark.parametrize("spoil", [cut, garble])
-async def test_a_link_that_is_cut_or_carries_nonsense_is_one_fault_and_the_arm_stands(
+async def test_16_a_link_that_is_reset_or_carries_nonsense_is_one_fault_and_the_program_ends(
     moving: Emulated, spoil: Callable
 ) -> None:
     await spoil(moving.proxy)

@@ -55,7 +55,7 @@ async def test_data_before_a_recipe_are_a_fault(robot: RtdeResponder, listener: 
         await client.setup(OUTPUT_NAMES, 500.0)
 
 
-async def test_after_a_loss_it_connects_again_and_is_not_ready_before_data_flow(
+async def test_18_after_a_loss_it_connects_again_and_is_not_ready_before_data_flow(
     robot: RtdeResponder, proxy: FaultProxy, listener: Listener
 ) -> None:
     client = await flowing(listener.client(proxy.host, proxy.port), robot)
@@ -86,7 +86,7 @@ async def test_a_controller_that_hangs_up_is_a_loss(robot: RtdeResponder, listen
     assert listener.lost[0].reason is RtdeErrorReason.CLOSED
 
 
-async def test_a_black_hole_is_a_loss_after_the_silence_that_is_allowed(
+async def test_17_a_black_hole_is_a_loss_after_the_silence_that_is_allowed(
     robot: RtdeResponder, proxy: FaultProxy, listener: Listener
 ) -> None:
     client = await flowing(listener.client(proxy.host, proxy.port, silence_s=0.05), robot)

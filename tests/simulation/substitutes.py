@@ -1,0 +1,262 @@
+"""Puts the virtual clock, network and disk under the real code while a universe lasts: every seam stands here."""
+
+import os
+import random
+import secrets
+import sys
+import time
+import uuid
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from functools import lru_cache, partial
+from pathlib import Path
+from types import FunctionType, SimpleNamespace
+from typing import Any
+
+import aiosqlite.core
+import fastapi.dependencies.utils
+import fastapi.routing
+import structlog
+
+import api.application
+import service.cell.cell
+import service.cell.journal.storage
+import service.cell.process
+import service.client
+import service.drivers.zenoh_sim
+import sim_backend.zenoh_cell.server
+from service.cell.inference import InlineInference
+from service.policy.contract import PolicyContract
+from service.policy.model import Policy, PolicyError
+from sim_backend.metronome import Metronome
+from tests.simulation import clock, threads
+from tests.simulation.disk import Disk
+from tests.simulation.network import Network, close_session
+from wire.arrays import Float32Array
+
+Change = tuple[Any, str, Any]
+WALL_S = 1.79e9
+
+
+class Host:
+    """The host of all processes: its clocks and its chance.
+
+    Attributes:
+        wall_step_s: by how much the wall clock was set.
+    """
+
+    def __init__(self, loop: clock.VirtualLoop, network: Network, disk: Disk, chance: random.Random) -> None:
+        self.loop, self.network, self.disk, self.chance = loop, network, disk, chance
+        self.wall_step_s = 0.0
+        self.database_busy_until = 0.0
+        self.database_latency_s = (1e-4, 2e-3)
+        self.inference_latency_s = (1e-3, 8e-3)
+        self.inference_hangs_until = 0.0
+        self.admission_latency_s = (1e-4, 5e-3)
+        self.databases: list[aiosqlite.core.Connection] = []
+
+    def monotonic(self) -> float:
+        return self.loop.time()
+
+    def time_of_day(self) -> float:
+        return WALL_S + self.loop.time() + self.wall_step_s
+
+    def between(self, bounds: tuple[float, float]) -> float:
+        return bounds[0] + (bounds[1] - bounds[0]) * self.chance.random()
+
+
+class Inference:
+    """An `InferenceKind` on the virtual clock: the real policy, answered after a while."""
+
+    def __init__(
+        self,
+        host: Host,
+        policy: Policy,
+        on_action: Callable[[Float32Array], None],
+        on_failure: Callable[[Exception], None],
+    ) -> None:
+        self._host, self._policy, self._on_action, self._on_failure = host, policy, on_action, on_failure
+        self._hidden = policy.initial_hidden()
+        self._closed = False
+
+    def ask(self, observation: Float32Array) -> None:
+        host = self._host
+        latency_s = max(host.between(host.inference_latency_s), host.inference_hangs_until - host.loop.time())
+        host.loop.call_later(latency_s, self._answer, observation)
+
+    def close(self) -> None:
+        self._closed = True
+
+    def _answer(self, observation: Float32Array) -> None:
+        if self._closed:
+            return
+        try:
+            action, self._hidden = self._policy.act(observation, self._hidden)
+        except PolicyError as error:
+            self._on_failure(error)
+        else:
+            self._on_action(action)
+
+
+_LOADED: dict[Path, Policy | PolicyError] = {}
+
+
+class Held:
+    """A `HeldPolicy` on the virtual clock: loaded once for all universes, and slow all the same."""
+
+    ended = False
+
+    def __init__(self, host: Host, path: Path, expected_sha256: str | None) -> None:
+        self._host = host
+        if path not in _LOADED:
+            try:
+                _LOADED[path] = Policy.load(path, expected_sha256=expected_sha256)
+            except PolicyError as error:
+                _LOADED[path] = error
+        self._policy = _LOADED[path]
+
+    def loaded(self) -> tuple[str, PolicyContract]:
+        clock.sleep(self._host.between(self._host.admission_latency_s))
+        if isinstance(self._policy, PolicyError):
+            raise self._policy
+        return self._policy.sha256, self._policy.contract
+
+    def infer(self, on_action: Callable[[Float32Array], None], on_failure: Callable[[Exception], None]) -> Inference:
+        assert isinstance(self._policy, Policy)
+        return Inference(self._host, self._policy, on_action, on_failure)
+
+    def close(self) -> None: ...
+
+
+def _database_queue(host: Host) -> type[threads.SimpleQueue]:
+    class DatabaseQueue(threads.SimpleQueue):
+        def get(self, block: bool = True, timeout: float | None = None) -> Any:
+            job = super().get(block, timeout)
+            clock.sleep(max(host.between(host.database_latency_s), host.database_busy_until - host.loop.time()))
+            return job
+
+    return DatabaseQueue
+
+
+def _database_connection(host: Host) -> type[aiosqlite.core.Connection]:
+    class DatabaseConnection(aiosqlite.core.Connection):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            super().__init__(*args, **kwargs)
+            host.databases.append(self)
+
+        def __del__(self) -> None: ...
+
+    return DatabaseConnection
+
+
+async def _at_once(function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+    return function(*args, **kwargs)
+
+
+def _metronome(host: Host, dozed_ticks: Callable[[], int]) -> Callable[..., Metronome]:
+    class Beat(Metronome):
+        def wait(self) -> None:
+            dozed_s = dozed_ticks() * self._period_s
+            if dozed_s:
+                self._due_s += dozed_s
+            super().wait()
+
+    return partial(Beat, clock=host.monotonic, sleep=clock.sleep)
+
+
+def changes(host: Host, dozed_ticks: Callable[[], int]) -> list[Change]:
+    """Everything that is put under the real code, as (owner, name, substitute).
+
+    Args:
+        host: of all processes.
+        dozed_ticks: ticks that the world leaves out at this moment.
+    """
+    network, chance = host.network, host.chance
+    policies = SimpleNamespace(opener=lambda _kind: partial(Held, host))
+    signals = SimpleNamespace(SIGINT=2, SIGTERM=15, Signals=int, getsignal=lambda number: None, signal=lambda *_: None)
+    server = sim_backend.zenoh_cell.server
+    process = service.cell.process
+    return [
+        *_defaults(host),
+        (time, "time", host.time_of_day),
+        (time, "monotonic", host.monotonic),
+        (time, "sleep", clock.sleep),
+        (os, "fsync", host.disk.fsync),
+        (secrets, "token_hex", lambda size=16: f"{chance.getrandbits(8 * size):0{2 * size}x}"),
+        (secrets, "randbelow", chance.randrange),
+        (secrets, "randbits", chance.getrandbits),
+        (uuid, "uuid4", lambda: uuid.UUID(int=chance.getrandbits(128))),
+        (fastapi.dependencies.utils, "run_in_threadpool", _at_once),
+        (fastapi.routing, "run_in_threadpool", _at_once),
+        (aiosqlite.core, "Connection", _database_connection(host)),
+        (aiosqlite.core, "Thread", clock.Thread),
+        (aiosqlite.core, "SimpleQueue", _database_queue(host)),
+        (service.cell.journal.storage, "threading", threads.THREADING),
+        (service.cell.journal.storage, "queue", threads.QUEUE),
+        (service.client, "open_session", network.open),
+        (service.client, "close_session", close_session),
+        (service.drivers.zenoh_sim, "open_session", network.open),
+        (service.drivers.zenoh_sim, "close_session", close_session),
+        (process, "open_session", network.open),
+        (process, "close_session", close_session),
+        (process, "Cell", partial(service.cell.cell.Cell, inference=InlineInference)),
+        (service.cell.cell, "InProcessPolicy", policies),
+        (process, "request_realtime", tuple),
+        (process, "freeze_garbage", lambda: None),
+        (api.application, "signal", signals),
+        (server, "Metronome", _metronome(host, dozed_ticks)),
+        (server, "has_realtime_scheduling", lambda: False),
+        (server, "freeze_garbage", lambda: None),
+    ]
+
+
+OURS = ("service", "api", "sim_backend", "wire")
+
+
+def _defaults(host: Host) -> list[Change]:
+    """Clocks that stand as defaults in the signatures of our functions."""
+    clocks: dict[Any, Any] = {
+        time.monotonic: host.monotonic, time.time: host.time_of_day, time.sleep: clock.sleep,
+        time.perf_counter: host.monotonic,
+    }  # fmt: skip
+    found: list[Change] = []
+    for function in _functions_with_clocks():
+        defaults = tuple(
+            clocks.get(value, value) if callable(value) else value for value in function.__defaults__ or ()
+        )
+        named = {
+            name: clocks.get(value, value) if callable(value) else value
+            for name, value in (function.__kwdefaults__ or {}).items()
+        }
+        found += [(function, "__defaults__", defaults or None), (function, "__kwdefaults__", named or None)]
+    return found
+
+
+@lru_cache(maxsize=1)
+def _functions_with_clocks() -> list[FunctionType]:
+    known = {time.monotonic, time.time, time.sleep, time.perf_counter}
+    functions: dict[int, FunctionType] = {}
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] in OURS:
+            for value in vars(module).values():
+                function = value.__dict__.get("__init__") if isinstance(value, type) else value
+                if isinstance(function, FunctionType):
+                    given = [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()]
+                    if any(callable(one) and one in known for one in given):
+                        functions[id(function)] = function
+    return list(functions.values())
+
+
+@contextmanager
+def substituted(found: list[Change]) -> Generator[None]:
+    """Put the substitutes in, and the originals back at the end."""
+    originals = [(owner, name, getattr(owner, name)) for owner, name, _ in found]
+    logging = structlog.get_config()
+    try:
+        for owner, name, substitute in found:
+            setattr(owner, name, substitute)
+        yield
+    finally:
+        for owner, name, original in reversed(originals):
+            setattr(owner, name, original)
+        structlog.configure(**logging)
