@@ -4,7 +4,7 @@ import asyncio
 import os
 import subprocess
 from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,8 +34,8 @@ class Robot(NamedTuple):
     endpoint: str
 
 
-@pytest.fixture(scope="module")
-def robot() -> Iterator[Robot]:
+@contextmanager
+def served_robot() -> Iterator[Robot]:
     endpoint = free_endpoint()
     process = subprocess.Popen(
         [
@@ -56,6 +56,12 @@ def robot() -> Iterator[Robot]:
         process.kill()
         process.wait()
         process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[Robot]:
+    with served_robot() as robot:
+        yield robot
 
 
 @pytest.fixture
