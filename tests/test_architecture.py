@@ -73,6 +73,7 @@ def test_safety_imports_numpy_faults_and_arithmetic_only(module: Path) -> None:
         "collections.abc",
         "dataclasses",
         "enum",
+        "functools",
         "math",
         "typing",
         "numpy",

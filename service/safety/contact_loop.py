@@ -10,6 +10,7 @@ direction, and about the TCP. `docs/explanation/force-overshoot.md` compares the
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from math import sqrt
 
 import numpy as np
@@ -83,6 +84,7 @@ def free_damping_ratio(stiffness: float, damping: float, inertia: float) -> floa
     return damping / (2.0 * sqrt(stiffness * inertia))
 
 
+@lru_cache(maxsize=64)
 def swing(
     stiffness: float, damping: float, inertia: float, follower: Follower, payload_kg: float = PAYLOAD_KG
 ) -> Swing:

@@ -105,6 +105,7 @@ class Held:
     """A `HeldPolicy` on the virtual clock: loaded once for all universes, and slow all the same."""
 
     ended = False
+    settled = True
 
     def __init__(self, host: Host, path: Path, expected_sha256: str | None) -> None:
         self._host = host
