@@ -27,6 +27,7 @@ from api.version import VERSION
 from service.client import CellClient
 from service.config import CellConfig
 from service.messages import Event
+from service.tasks import end_tasks
 
 DESCRIPTION = """\
 Commands and watches one assembly cell.
@@ -42,6 +43,9 @@ TAGS = [
     {"name": "runs", "description": "History of the runs."},
     {"name": "streams", "description": "Server-sent events."},
 ]
+
+TASKS_END_S = 1.0
+"""Longest wait for the tasks that follow the cell, s."""
 
 _log = structlog.get_logger("api")
 
@@ -112,32 +116,31 @@ def create_app(config: CellConfig, path: Path) -> Protection:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
         cell_id, endpoint, certificates = config.cell.id, [config.cell.endpoint], config.certificates
+        client = CellClient(cell_id, endpoint, certificates=certificates)
+        stopper = CellClient(cell_id, endpoint, certificates=certificates)
         history = RunHistory(database)
-        await history.open()
+        cell = FollowedCell(client, stopper, history)
         control_process = ControlProcess(config, path)
         closing = asyncio.Event()
-        async with (
-            CellClient(cell_id, endpoint, certificates=certificates) as client,
-            CellClient(cell_id, endpoint, certificates=certificates) as stopper,
-        ):
-            cell = FollowedCell(client, stopper, history)
-            app.state.runtime = Runtime(config, cell, control_process, closing)
 
-            def close_streams() -> None:
-                closing.set()
-                cell.feed.close()
+        def close_streams() -> None:
+            closing.set()
+            cell.feed.close()
 
-            tasks = [_spawn(cell.follow()), _spawn(_join_or_start(cell, control_process))]
-            try:
-                with _before_shutdown(close_streams):
+        with _on_signal(control_process.end_soon, close_streams):
+            await history.open()
+            async with client, stopper:
+                app.state.runtime = Runtime(config, cell, control_process, closing)
+                tasks = [_spawn(cell.follow()), _spawn(_join_or_start(cell, control_process))]
+                try:
                     yield
-            finally:  # also where a server that is forced to end cancels this
-                close_streams()
-                for task in tasks:
-                    task.cancel()
-                await asyncio.gather(*tasks, return_exceptions=True)
-                await control_process.end()
-        await history.close()
+                finally:  # also where a server that is forced to end cancels this
+                    close_streams()
+                    control_process.end_soon()
+                    for task in await end_tasks(tasks, TASKS_END_S):
+                        _log.error("a background task does not end", task=repr(task))
+                    await control_process.end()
+            await history.close()
 
     return Protection(build_routes(lifespan), hosts=config.api.allowed_hosts, allow_remote=config.api.allow_remote)
 
@@ -162,8 +165,8 @@ def _report_crash(task: asyncio.Task[None]) -> None:
 
 
 @contextmanager
-def _before_shutdown(close_streams: Callable[[], None]) -> Generator[None]:
-    """Call `close_streams` as soon as a signal asks the server to end.
+def _on_signal(at_once: Callable[[], None], soon: Callable[[], None]) -> Generator[None]:
+    """Call `at_once` in the handler of a signal that asks the server to end, and `soon` on the event loop.
 
     uvicorn waits for open responses before it tells the application to end, so an open event stream would block it
     forever. Existing signal handlers are called afterwards.
@@ -175,7 +178,8 @@ def _before_shutdown(close_streams: Callable[[], None]) -> Generator[None]:
     previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def on_signal(number: int, frame: FrameType | None) -> None:
-        loop.call_soon_threadsafe(close_streams)
+        at_once()
+        loop.call_soon_threadsafe(soon)
         handler = previous[signal.Signals(number)]
         if callable(handler):
             handler(number, frame)

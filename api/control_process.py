@@ -37,11 +37,14 @@ class ControlProcess:
     def __init__(self, config: CellConfig, path: Path) -> None:
         self._config = config
         self._path = path
+        self._is_ending = False
         self.child: Child | None = None
         self.note: str | None = None
 
     def start(self) -> None:
-        """Start the control process, unless `api.autostart` is off."""
+        """Start the control process, unless `api.autostart` is off or this API is told to end."""
+        if self._is_ending:
+            return
         if not self._config.api.autostart:
             self.note = f"Nothing is started here (api.autostart is off): run `{PROGRAM} control`."
             return
@@ -53,10 +56,19 @@ class ControlProcess:
             self.note = f"It could not be started: {error}"
             _log.error("start", error=str(error))
             return
+        if self._is_ending:  # the signal came while it was started
+            self.child.process.terminate()
         _log.info("started", name=self.child.name, pid=self.child.process.pid, log=str(log))
+
+    def end_soon(self) -> None:
+        """Ask the started process to end, and start none from now on. A signal handler may call this at any moment."""
+        self._is_ending = True
+        if self.child is not None:
+            self.child.process.terminate()
 
     async def end(self) -> None:
         """End the started process: ask by SIGTERM, and kill it if it does not end within `END_S`."""
+        self.end_soon()
         if self.child is None:
             return
         name, process = self.child.name, self.child.process
@@ -70,5 +82,7 @@ class ControlProcess:
             return
         while (ending := self.child.ending()) is None:
             await asyncio.sleep(POLL_S)
+        if self._is_ending:
+            return
         self.note = f"{ending[0].upper()}{ending[1:]}. Nothing restarts it."
         _log.error("process ended", note=self.note)

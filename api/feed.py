@@ -32,11 +32,13 @@ class Subscription:
             self._queue.put_nowait(event)
 
     async def next(self, timeout_s: float) -> Event | None:
-        """Return the next event; None after `timeout_s`, or earlier when the status changed or the feed ended."""
-        try:
-            return await asyncio.wait_for(self._queue.get(), timeout_s)
-        except TimeoutError:
-            return None
+        """Return the next event; None when the status changed or the feed ended.
+
+        Raises:
+            TimeoutError: neither came within `timeout_s`.
+        """
+        async with asyncio.timeout(timeout_s):
+            return await self._queue.get()
 
     def offer(self, event: Event | None) -> None:
         try:

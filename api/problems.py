@@ -63,6 +63,7 @@ class ProblemDetails(BaseModel):
     reason: str | None = Field(None, description="Stable name of the reason, for programs.")
     code: FaultCode | None = Field(None, description="Fault in force, if any.")
     state: CellState | None = Field(None, description="State of the cell when it refused.")
+    confirmed: bool | None = Field(None, description="False in the answer to a stop that was not delivered.")
     errors: list[FieldError] | None = Field(None, description="Fields that were refused.")
 
 
@@ -76,6 +77,7 @@ class ProblemError(Exception):
         code: fault in force.
         state: state of the cell.
         field: location of the wrong field, if it is one.
+        confirmed: False for a stop.
     """
 
     def __init__(
@@ -87,10 +89,11 @@ class ProblemError(Exception):
         code: FaultCode | None = None,
         state: CellState | None = None,
         field: str | None = None,
+        confirmed: bool | None = None,
     ) -> None:
         super().__init__(detail)
         self.status, self.reason, self.detail = status, reason, detail
-        self.code, self.state = code, state
+        self.code, self.state, self.confirmed = code, state, confirmed
         self.errors = [FieldError(location=field, message=detail)] if field else None
 
 
@@ -147,6 +150,7 @@ def install(app: FastAPI) -> None:
             reason=error.reason,
             code=error.code,
             state=error.state,
+            confirmed=error.confirmed,
             errors=error.errors,
         )
 

@@ -3,6 +3,8 @@
 Any page that a browser on the operator's machine shows can make the browser send requests here. Three checks stop such
 requests. The connection must arrive on a loopback address. `Host` must be a name of this machine, so a rebound name is
 refused. A request that changes something must come from this server's own page or from no page at all.
+
+A stop passes none of these checks; `api.stop_rule` has its own.
 """
 
 import ipaddress
@@ -19,11 +21,9 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.problems import problem_response
+from api.stop_rule import READING_METHODS, STOP_PATH, is_stop, why_hostile
 
-LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
-SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 BODY_LIMIT_BYTES = 16 * 1024
-STOP_PATH = "/stop"
 
 SECURITY_HEADERS = {
     "Content-Security-Policy": (
@@ -50,7 +50,7 @@ class Protection:
 
     def __init__(self, app: ASGIApp, hosts: Collection[str] = (), allow_remote: bool = False) -> None:
         self._app = app
-        self._hosts = LOOPBACK_NAMES | {host.lower() for host in hosts}
+        self._hosts = frozenset(host.lower() for host in hosts)
         self._allow_remote = allow_remote
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -81,7 +81,7 @@ class Protection:
         finally:
             status = answered.get("status", 0)
             # Pages and probes read several times a second, so only a failed read is logged above debug level.
-            quiet = scope["method"] in SAFE_METHODS and 0 < status < 400
+            quiet = scope["method"] in READING_METHODS and 0 < status < 400
             _log.log(
                 logging.DEBUG if quiet else logging.INFO,
                 "request",
@@ -92,41 +92,50 @@ class Protection:
             )
 
     async def _checked(self, scope: Scope, receive: Receive, send: Send) -> None:
-        refusal = self._refusal(scope)
+        asks_for_stop = is_stop(scope["method"], scope["path"])
+        refusal = self._refusal_of_stop(scope) if asks_for_stop else self._refusal(scope)
         if refusal is not None:
             status, reason, detail = refusal
-            await problem_response(Request(scope), status, detail, reason=reason)(scope, receive, send)
+            confirmed = False if asks_for_stop else None
+            answer = problem_response(Request(scope), status, detail, reason=reason, confirmed=confirmed)
+            await answer(scope, receive, send)
             return
-        if scope["path"] == STOP_PATH:
+        if asks_for_stop:
+            plain = {"method": "POST", "path": STOP_PATH, "raw_path": STOP_PATH.encode(), "root_path": ""}
             # A stop needs no body, so a body must neither delay nor refuse it.
-            await self._app(scope, _empty_body(receive), send)
+            await self._app({**scope, **plain}, _empty_body(receive), send)
             return
         await self._app(scope, _limited(receive), send)
+
+    def _refusal_of_stop(self, scope: Scope) -> tuple[int, str, str] | None:
+        why = why_hostile(Headers(scope=scope), self._hosts)
+        return None if why is None else (403, "CROSS_SITE", f"This page may not stop the cell: {why}.")
 
     def _refusal(self, scope: Scope) -> tuple[int, str, str] | None:
         headers = Headers(scope=scope)
         server = scope.get("server")
-        if not self._allow_remote and server is not None and not is_loopback(server[0]):
+        arrived = None if server is None or server[1] is None else server[0]  # a Unix socket has no port
+        if not (self._allow_remote or arrived is None or is_loopback(arrived)):
             return (
                 403,
                 "NOT_LOOPBACK",
                 (
-                    f"This cell is served on loopback only, and the request came in on {server[0]}. There is no "
+                    f"This cell is served on loopback only, and the request came in on {arrived}. There is no "
                     "authorisation yet: set allow_remote in the API's settings to accept other machines nevertheless."
                 ),
             )
         host = headers.get("host", "")
-        if _hostname(host) not in self._hosts:
+        if not (_hostname(host) in self._hosts or is_loopback(_hostname(host))):
             return 421, "UNKNOWN_HOST", f"Host {host!r} is not a name of this cell; add it to allowed_hosts if it is."
-        if scope["method"] not in SAFE_METHODS:
+        if scope["method"] not in READING_METHODS:
             origin = headers.get("origin")
             site = headers.get("sec-fetch-site", "none")
-            if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
+            if origin is not None and _netloc(origin) != host.lower():
                 return 403, "CROSS_SITE", f"This page may not command the cell: its origin is {origin}."
             if site not in {"none", "same-origin"}:
                 return 403, "CROSS_SITE", f"This page may not command the cell: the browser calls it {site}."
         length = headers.get("content-length", "0")
-        if scope["path"] != STOP_PATH and length.isdigit() and int(length) > BODY_LIMIT_BYTES:
+        if length.isdigit() and int(length) > BODY_LIMIT_BYTES:
             return 413, "BODY_TOO_LARGE", _TOO_LARGE_TEXT
         return None
 
@@ -166,6 +175,13 @@ def _hostname(host: str) -> str:
         return (urlsplit(f"//{host}").hostname or "").lower()
     except ValueError:
         return ""
+
+
+def _netloc(origin: str) -> str | None:
+    try:
+        return urlsplit(origin).netloc.lower()
+    except ValueError:
+        return None
 
 
 def is_loopback(address: str) -> bool:

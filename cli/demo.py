@@ -5,8 +5,9 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -100,24 +101,34 @@ def _serving(config: CellConfig, path: Path, port: int) -> Generator[Child]:
     """Run `serve` as a child for as long as the context lasts."""
     log = config.cell.state_dir / "logs" / "api.log"
     arguments = ("serve", "--config", str(path), "--host", "127.0.0.1", "--port", str(port))
+    told: list[int] = []
+    # An interrupt between the fork and the first line of the `try` would leave a server that nobody ends.
+    _on_signals(lambda number, _frame: told.append(number))
     try:
         # A session of its own: Ctrl-C reaches this process, which then ends the server in order.
         server = Child.start("server", arguments, log)
     except OSError as error:
         raise DemoError(f"cannot write {log}: {error.strerror}") from error
-    # `make run` in a closed terminal, or ended by a supervisor, must leave nothing behind either.
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _interrupt)
     try:
+        _on_signals(_interrupt)
+        if told:
+            raise KeyboardInterrupt
         yield server
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not leave the cell behind
+        _on_signals(signal.SIG_IGN)
         if server.ending() is None:
             console.print("ending the cell")
         server.end(END_S)
 
 
-def _interrupt(_number: int, _frame: Any) -> NoReturn:
+def _on_signals(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> None:
+    """Set what Ctrl-C, a supervisor's SIGTERM and the end of the terminal do."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, handler)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+    _on_signals(signal.SIG_IGN)  # a second Ctrl-C must not leave the cell behind
     raise KeyboardInterrupt
 
 

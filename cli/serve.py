@@ -1,7 +1,10 @@
 """`serve`: one cell behind its HTTP interface."""
 
+import faulthandler
+import os
 import signal
 import socket
+import threading
 from types import FrameType
 from typing import Annotated, NoReturn
 
@@ -12,8 +15,10 @@ from cli.exits import fail
 from service.commands.configured import ConfigPath
 from wire.exits import Exit
 
-GRACE_S = 5
-"""Longest wait for open responses once the server is told to end, s."""
+GRACE_S = 1
+"""Longest wait for open responses once the server is told to end, s; a stop is answered by then."""
+END_S = 10.0
+"""Time after which a server that was told to end, and has not, ends at once, s."""
 
 
 class Server(uvicorn.Server):
@@ -21,6 +26,10 @@ class Server(uvicorn.Server):
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """Take a signal; a second Ctrl-C skips nothing."""
+        if not self.should_exit:
+            last = threading.Timer(END_S, _end_at_once)
+            last.daemon = True
+            last.start()
         super().handle_exit(sig, frame)
         self.force_exit = False
 
@@ -36,6 +45,7 @@ def serve(
     SIGTERM and the end of the terminal end what was started. The log goes to standard error, one JSON object a line.
     """
     from api.application import create_app
+    from api.connections import Connection, most_waiting
     from api.logs import configure_logs
     from service.config import ConfigError, find, load
     from service.logs import take_over_stderr
@@ -54,10 +64,24 @@ def serve(
     typer.echo(f"cell {cell.cell.id}: page on http://{cell.api.host}:{cell.api.port}")
     _end_on_signals()
     # uvicorn takes the signals over while it serves, and raises them again when everything has ended.
-    server = Server(uvicorn.Config(app, log_config=None, timeout_graceful_shutdown=GRACE_S))
+    settings = uvicorn.Config(
+        app,
+        http=Connection,
+        ws="none",
+        backlog=most_waiting(),
+        log_config=None,
+        timeout_graceful_shutdown=GRACE_S,
+    )
+    server = Server(settings)
     server.run(sockets=[listener])
     if not server.started:
         fail("serve", "the server did not start; the log above says why", Exit.HOST)
+
+
+def _end_at_once() -> None:
+    """End a process that hangs. What it started was told to end by the signal itself."""
+    faulthandler.dump_traceback(all_threads=True)
+    os._exit(Exit.FAILED)
 
 
 def _listen(host: str, port: int) -> socket.socket:

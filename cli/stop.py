@@ -7,6 +7,7 @@ not reach the control process, or serves another cell, the stop is sent over tha
 
 import http.client
 import json
+import os
 import queue
 import threading
 import time
@@ -15,7 +16,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 import typer
 
@@ -24,15 +25,19 @@ from cli.exits import leave
 from wire.exits import Exit
 
 API_S = 4.0
-"""Longest wait for the API's answer, s: it takes up to 1 s for the delivery and 1 s for the standstill."""
+"""Longest wait for the API's answer, s. A loaded machine has more than the second that the API takes."""
+CONFIRM_S = 1.0
+"""Time without a confirmation after which the person is told so, s; also the control process's own time for it."""
 HEAD_START_S = 0.2
 """Longest time for which the imports of the second way wait until the request to the API has left."""
-DIRECT_AFTER_S = 1.0
+DIRECT_AFTER_S = 0.5
 """Silence of the API after which the control process is asked as well."""
 DELIVERY_S = 3.0
 ALL_S = 6.0
 """Longest time for both ways together, from the moment at which the second one is tried, s."""
 POLL_S = 0.005
+OPERATOR_LENGTH = 64
+OWN_STOP = "If the robot may be moving, use the robot's own emergency stop."
 
 
 class Way(StrEnum):
@@ -77,8 +82,22 @@ class Attempt:
         self._send = threading.Event()
         self.heard: list[Answer] = []
 
-    def run(self, tell: Callable[[Answer], object]) -> None:
-        """Try the ways until there is nothing left to wait for; each delivery is told at once."""
+    def run(self, tell: Callable[[Answer], object], tell_late: Callable[[], object]) -> None:
+        """Try the ways until there is nothing left to wait for.
+
+        Args:
+            tell: called at once for each delivery.
+            tell_late: called once, if there is no confirmation within `CONFIRM_S`.
+        """
+        late = threading.Timer(CONFIRM_S, tell_late)
+        late.daemon = True
+        late.start()
+        try:
+            self._run(tell)
+        finally:
+            late.cancel()
+
+    def _run(self, tell: Callable[[Answer], object]) -> None:
         self._try(Way.API, lambda: self._answers.put(_over_http(self._url, self._asked)))
         if (cell := self._cell) is not None:
             self._try(Way.DIRECT, lambda: _past_the_api(cell, self._asked, self._send, self._answers.put))
@@ -162,18 +181,30 @@ def stop(url: Url = None, config: CellFile = None) -> None:
     # A file that is named by --config, and a URL that is that of the file, leave no doubt about the cell.
     in_doubt = cell is not None and config is None and url is not None and not (is_address(url) and cell.is_at(url))
     attempt = Attempt(asked, cell, names_another=in_doubt)
-    attempt.run(lambda answer: typer.echo(f"cell {answer.cell}: {answer.text}"))
+    attempt.run(
+        lambda answer: typer.echo(f"cell {answer.cell}: {answer.text}"),
+        lambda: _say(f"NOT CONFIRMED within {CONFIRM_S:g} s; still trying. {OWN_STOP}"),
+    )
     why = "; ".join(text for text in (unread, attempt.failures()) if text)
     delivered = [answer for answer in attempt.heard if answer.cell is not None]
     if unread is not None or not attempt.reaches_the_cell:
         whom = "nobody" if not delivered else "the configured cell" if cell is None else f"cell {cell.cell}"
         said = "delivered to" if not delivered else "not delivered to"
-        _say(f"{said} {whom}: {why}. If the robot may be moving, use the robot's own emergency stop")
+        _say(f"NOT CONFIRMED: {said} {whom}: {why}. {OWN_STOP}")
         leave(Exit.UNREACHABLE)
     if attempt.leaves_one_out:
-        _say(f"if {asked} is the API of another cell, that one has no stop: {why}")
+        _say(f"NOT CONFIRMED: if {asked} is the API of another cell, that one has no stop: {why}. {OWN_STOP}")
         leave(Exit.UNCONFIRMED)
-    leave(0 if all(answer.confirmed for answer in delivered) else Exit.UNCONFIRMED)
+    if not all(answer.confirmed for answer in delivered):
+        _say(f"NOT CONFIRMED: standstill is not measured. {OWN_STOP}")
+        leave(Exit.UNCONFIRMED)
+    leave(0)
+
+
+def _operator() -> str:
+    """Return the account that stops, for the record."""
+    name = os.environ.get("LOGNAME") or os.environ.get("USER") or f"user {os.getuid()}"
+    return f"{name} by the command line"
 
 
 def _say(text: str) -> None:
@@ -187,7 +218,8 @@ def _over_http(url: str, asked: threading.Event) -> Answer:
         address = urlsplit(url)
         kind = http.client.HTTPSConnection if address.scheme == "https" else http.client.HTTPConnection
         with closing(kind(address.hostname or "", address.port, timeout=API_S)) as connection:
-            connection.request("POST", f"{address.path.rstrip('/')}/stop", headers={"Content-Length": "0"})
+            path = f"{address.path.rstrip('/')}/stop?operator={quote(_operator())}"
+            connection.request("POST", path, headers={"Content-Length": "0"})
             asked.set()
             with connection.getresponse() as response:
                 said: dict[str, Any] = json.loads(response.read())
@@ -207,14 +239,14 @@ def _past_the_api(
 
     from service.client import CellClient
     from service.messages import StopRequest
-    from service.stopping import confirm, deliver, is_standing
+    from service.stopping import confirm, deliver
 
     async def ask(client: CellClient) -> Answer:
-        request = StopRequest(reason="stop past the API", requested_by="cli")
-        status = await confirm(client, await deliver(client, request, DELIVERY_S))
-        standing = is_standing(status)
-        said = "standstill is measured" if standing else "delivered, but standstill is not measured yet"
-        return Answer(Way.DIRECT, status.cell, standing, f"{status.state}: {said}")
+        request = StopRequest(reason="stop past the API", requested_by=_operator()[:OPERATOR_LENGTH])
+        stopped = await confirm(client, await deliver(client, request, DELIVERY_S), CONFIRM_S)
+        status = stopped.status
+        said = "standstill is measured" if stopped.confirmed else "delivered, but standstill is not measured yet"
+        return Answer(Way.DIRECT, status.cell, stopped.confirmed, f"{status.state}: {said}")
 
     async def wait_and_ask() -> None:
         async with CellClient(cell.cell, [cell.endpoint], certificates=cell.certificates) as client:

@@ -115,6 +115,40 @@ def test_no_docstring_begins_without_its_subject() -> None:
     assert not sources, "say what the thing is or does"
 
 
+def _names(node: ast.AST | None) -> set[str]:
+    """Return the last part of every name in an expression."""
+    found = (getattr(part, "attr", getattr(part, "id", None)) for part in ast.walk(node)) if node is not None else ()
+    return {name for name in found if isinstance(name, str)}
+
+
+def _losses_of_a_cancellation(source: Path) -> list[int]:
+    """Return the lines in which a cancellation can be lost."""
+    lines: list[int] = []
+    for node in ast.walk(ast.parse(source.read_text())):
+        if isinstance(node, ast.Attribute) and node.attr == "wait_for" and _names(node.value) == {"asyncio"}:
+            lines.append(node.lineno)
+        elif isinstance(node, ast.ImportFrom) and node.module == "asyncio":
+            lines += [node.lineno for alias in node.names if alias.name == "wait_for"]
+        elif isinstance(node, ast.Call) and _names(node.func) & {"suppress"}:
+            caught = set().union(*map(_names, node.args))
+            lines += [node.lineno] if caught & {"CancelledError", "BaseException"} else []
+        elif isinstance(node, ast.ExceptHandler):
+            catches = node.type is None or _names(node.type) & {"CancelledError", "BaseException"}
+            passes_on = any(isinstance(part, ast.Raise) for part in ast.walk(node))
+            lines += [node.lineno] if catches and not passes_on else []
+    return lines
+
+
+def test_77_no_cancellation_is_lost() -> None:
+    """`asyncio.wait_for` of Python 3.11 loses one that comes with the result; `asyncio.timeout` does not."""
+    found = {
+        str(path.relative_to(ROOT)): lines
+        for path in (*MODULES, *EXAMPLES)
+        if (lines := _losses_of_a_cancellation(path))
+    }
+    assert not found
+
+
 def test_no_module_is_too_long_to_read_in_one_sitting() -> None:
     lengths = {
         str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in (*MODULES, *EXAMPLES, *TESTS)

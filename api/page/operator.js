@@ -1,9 +1,12 @@
 // The operator's page. It shows measurements and reports of the last second; without any it shows UNKNOWN.
+import { CHANNEL, JOURNAL_SHOWN, Link } from "./link.js";
 import { LivePlots } from "./plots.js";
 
 const SILENCE_MS = 1000;
-const RUNS_SHOWN = 6;
-const JOURNAL_SHOWN = 7;
+const CONFIRM_MS = 1000;
+const STOP_MS = 10000;
+const WORKER_MS = 3000; // a worker that says nothing for so long is gone
+const OWN_STOP = "Use the robot's own emergency stop.";
 const MARKS = { READY: "✓", PREFLIGHT: "▶", APPROACH: "▶", RUNNING: "▶", RETRACT: "▶", STOPPING: "■", LATCHED: "■",
   OFFLINE: "○", CONNECTING: "○", UNKNOWN: "?" };
 const WORDS = { READY: "The arm stands still. You can start.", PREFLIGHT: "Checking before motion.",
@@ -17,9 +20,9 @@ const plots = new LivePlots(at("force-plot"), at("depth-plot"));
 
 let status = null; // the last status received
 let heardAt = -Infinity; // time of its arrival on performance.now()'s clock, ms
-let journal = null;
-let frames = null;
-let shownRun = "";
+let linkHeardAt = performance.now();
+let stops = 0;
+let unconfirmed = false; // the last stop is not confirmed
 
 // --- display
 
@@ -30,7 +33,7 @@ function show() {
     document.body.dataset.state = state;
     at("state").textContent = state;
     at("mark").textContent = MARKS[state] ?? "?";
-    at("answer").className = "";
+    if (!unconfirmed) at("answer").className = "";
     document.title = `${state} – ${document.body.dataset.cell}`;
   }
   setText("reason", reason(state, live));
@@ -68,6 +71,7 @@ function setText(id, text) {
 }
 
 function answer(text, kind) {
+  unconfirmed = false;
   // The time keeps an old answer from looking like the present state.
   setText("answer", `${clock(Date.now() / 1e3)} ${text}`);
   at("answer").className = kind;
@@ -90,17 +94,6 @@ function rows(runs) {
   });
 }
 
-async function readRuns() {
-  try {
-    const response = await fetch(`/runs?limit=${RUNS_SHOWN}`);
-    if (!response.ok) return;
-    const page = await response.json();
-    if (page.runs.length) at("runs").replaceChildren(...rows(page.runs));
-  } catch {
-    // The banner tells that the server is gone.
-  }
-}
-
 function note(event) {
   const line = document.createElement("li");
   const time = document.createElement("time");
@@ -111,92 +104,131 @@ function note(event) {
   while (at("journal").children.length > JOURNAL_SHOWN) at("journal").lastChild.remove();
 }
 
-// --- streams
+// --- the link to the server
 
-function listen() {
-  journal ??= openJournal();
-  frames ??= openFrames();
-}
-
-function openJournal() {
-  at("journal").replaceChildren();
-  const source = new EventSource(`/events?replay=${JOURNAL_SHOWN}`);
-  source.addEventListener("status", (message) => {
-    status = JSON.parse(message.data);
+const take = {
+  status(told) {
+    status = told;
     heardAt = performance.now();
     plots.ceiling = status.force_ceiling_n;
     setText("ceiling", number(status.force_ceiling_n, 0));
     if (status.driver !== null) setText("driver", `${status.driver}${status.mode === "lockstep" ? ", lockstep" : ""}`);
-    const run = `${status.run?.id} ${status.run?.state}`;
-    if (run !== shownRun) {
-      shownRun = run;
-      readRuns();
-    }
     show();
-  });
-  source.addEventListener("event", (message) => {
-    note(JSON.parse(message.data));
-    readRuns();
-  });
-  source.addEventListener("resync", readRuns);
-  source.addEventListener("error", () => {
-    heardAt = -Infinity;
-    show();
-    if (source.readyState === EventSource.CLOSED) reopen();
-  });
-  return source;
-}
-
-function openFrames() {
-  const source = new EventSource("/telemetry");
-  source.addEventListener("frame", (message) => {
-    const frame = JSON.parse(message.data);
+  },
+  event: note,
+  frame(frame) {
     plots.add(frame);
     setText("depth", number(frame.depth_m === null ? null : 1e3 * frame.depth_m, 1));
-  });
-  return source;
+  },
+  runs(page) {
+    if (page.runs.length) at("runs").replaceChildren(...rows(page.runs));
+  },
+  lost() {
+    heardAt = -Infinity;
+    show();
+  },
+  before(last) {
+    at("journal").replaceChildren();
+    last.events.forEach(note);
+    if (last.runs) take.runs(last.runs);
+    if (last.status) take.status(last.status);
+  },
+};
+
+function receive(message) {
+  linkHeardAt = performance.now();
+  take[message.kind](message.data);
 }
 
-function reopen() {
-  // The browser does not reconnect by itself after an answer that is not a stream.
-  setTimeout(() => {
-    hush();
-    if (!document.hidden) listen();
-  }, 500);
+// The link in the worker that all windows share.
+class SharedLink {
+  constructor() {
+    this.asked = new Map();
+    const worker = new SharedWorker("/page/shared-link.js", { type: "module" });
+    this.port = worker.port;
+    this.port.onmessage = ({ data }) => {
+      if (data.kind !== "answer") return receive(data);
+      this.asked.get(data.id)?.(data.data);
+      this.asked.delete(data.id);
+    };
+  }
+
+  listen() {
+    this.port.postMessage({ kind: "listen" });
+  }
+
+  hush() {
+    this.port.postMessage({ kind: "hush" });
+  }
+
+  command(path, body, headers) {
+    const id = newKey();
+    return new Promise((resolve) => {
+      this.asked.set(id, resolve);
+      this.port.postMessage({ kind: "command", id, path, body, headers });
+    });
+  }
+}
+
+let link = typeof SharedWorker === "undefined" ? new Link(receive, true) : new SharedLink();
+
+function listen() {
+  linkHeardAt = performance.now();
+  at("journal").replaceChildren();
+  link.listen();
 }
 
 function hush() {
-  journal?.close();
-  frames?.close();
-  journal = frames = null;
+  link.hush();
   heardAt = -Infinity;
 }
 
-// A browser opens at most six connections to a server for all its windows, so a hidden page holds none.
+function watchLink() {
+  if (document.hidden || link instanceof Link || performance.now() - linkHeardAt <= WORKER_MS) return;
+  for (const resolve of link.asked.values()) resolve({ ok: false, document: null });
+  link = new Link(receive, true);
+  listen();
+}
+
 document.addEventListener("visibilitychange", () => (document.hidden ? hush() : listen()));
+addEventListener("pagehide", hush);
+addEventListener("pageshow", ({ persisted }) => persisted && !document.hidden && listen());
 
 // --- commands
 
+const channel = new BroadcastChannel(CHANNEL);
+
 async function post(path, body, headers = {}) {
-  const json = body === undefined ? {} : { "Content-Type": "application/json" };
-  const response = await fetch(path, { method: "POST", headers: { ...json, ...headers },
-    body: body === undefined ? undefined : JSON.stringify(body) });
-  const document_ = await response.json();
-  if (!response.ok) throw new Error(document_.detail || document_.title);
-  return { status: response.status, document: document_ };
+  const { ok, document: told } = await link.command(path, body, headers);
+  if (told === null) throw new TypeError("no answer");
+  if (!ok) throw new Error(told.detail || told.title);
+  return told;
 }
 
+// The stop is sent from here and waits for no other request: the links of all windows end theirs.
 at("stop").addEventListener("click", async () => {
-  answer("Stop sent …", "");
-  frames?.close(); // frees a connection for the stop
-  frames = null;
+  stops += 1;
+  const mine = stops;
+  const say = (text, kind) => {
+    if (mine !== stops) return;
+    answer(text, kind);
+    unconfirmed = kind === "bad";
+  };
+  say("Stop sent …", "");
+  const late = setTimeout(() => say(`STOP NOT CONFIRMED within a second. ${OWN_STOP}`, "bad"), CONFIRM_MS);
+  channel.postMessage("make way");
+  if (link instanceof Link) link.makeWay(true);
   try {
-    const { document: told } = await post("/stop");
-    answer(told.confirmed ? "Stopped: standstill is measured." : `Stop received: ${told.detail}`, told.confirmed ? "good" : "bad");
-  } catch (error) {
-    answer(`STOP NOT CONFIRMED. ${error instanceof TypeError ? "The server does not answer. Use the robot's own emergency stop." : error.message}`, "bad");
+    const name = encodeURIComponent(at("operator").value.trim());
+    const response = await fetch(`/stop?operator=${name}`,
+      { method: "POST", keepalive: true, priority: "high", signal: AbortSignal.timeout(STOP_MS) });
+    const told = await response.json();
+    if (told.confirmed) say("Stopped: standstill is measured.", "good");
+    else say(`STOP ${told.detail}`, "bad");
+  } catch {
+    say(`STOP NOT CONFIRMED. The server does not answer. ${OWN_STOP}`, "bad");
   } finally {
-    if (!document.hidden) listen();
+    clearTimeout(late);
   }
 });
 
@@ -208,27 +240,30 @@ at("start-form").addEventListener("submit", async (submit) => {
   const body = { recipe: at("recipe").value, ...(seed === "" ? {} : { seed: Number(seed) }) };
   const text = JSON.stringify(body);
   if (pending?.text !== text) pending = { text, key: newKey() };
-  answer("Start sent …", "");
+  const before = stops;
+  const say = (words, kind) => before === stops && answer(words, kind); // a stop's answer stays
+  say("Start sent …", "");
   try {
-    const { document: run } = await post("/start", body, { "Idempotency-Key": pending.key });
+    const run = await post("/start", body, { "Idempotency-Key": pending.key });
     pending = null;
-    answer(`Accepted: run ${run.id}, seed ${run.seed ?? "none"}.`, "good");
-    readRuns();
+    say(`Accepted: run ${run.id}, seed ${run.seed ?? "none"}.`, "good");
   } catch (error) {
     if (!(error instanceof TypeError)) pending = null;
-    answer(`Not started. ${error instanceof TypeError ? "The server does not answer." : error.message}`, "bad");
+    say(`Not started. ${error instanceof TypeError ? "The server does not answer." : error.message}`, "bad");
   }
 });
 
 at("reset-form").addEventListener("submit", async (submit) => {
   submit.preventDefault();
+  const before = stops;
+  const say = (words, kind) => before === stops && answer(words, kind);
   try {
     await post("/reset", { operator: at("operator").value.trim(), comment: at("comment").value, acknowledge: status?.latch?.code ?? null });
     at("looked").checked = false;
     at("comment").value = "";
-    answer("Acknowledged. Nothing moves.", "good");
+    say("Acknowledged. Nothing moves.", "good");
   } catch (error) {
-    answer(`Not reset. ${error instanceof TypeError ? "The server does not answer." : error.message}`, "bad");
+    say(`Not reset. ${error instanceof TypeError ? "The server does not answer." : error.message}`, "bad");
   }
 });
 
@@ -242,6 +277,6 @@ function draw() {
 }
 
 listen();
-readRuns();
 setInterval(show, 100);
+setInterval(watchLink, 500);
 requestAnimationFrame(draw);

@@ -1,5 +1,6 @@
 """Start, stop and reset."""
 
+import asyncio
 from typing import Annotated
 
 import structlog
@@ -10,13 +11,19 @@ from api.models import ResetBody, StartBody, StopAnswer
 from api.problems import SILENT_TEXT, ProblemError, described
 from api.receipt import Receipt
 from api.runtime import RuntimeDependency, runtime_of
+from api.stop_rule import OPERATOR_LENGTH, asked_by
 from service.client import CellSilentError
 from service.messages import CellState, ResetRequest, Run, StartRequest, StopRequest
-from service.stopping import confirm, deliver, is_standing
+from service.stopping import WITHIN_S, confirm, deliver, is_standing
 
 router = APIRouter(tags=["commands"])
 _log = structlog.get_logger("api.commands")
 
+NOT_CONFIRMED_TEXT = (
+    "NOT CONFIRMED: the control process has the stop, but standstill is not measured within a second. "
+    "If the robot moves, use the robot's own emergency stop."
+)
+STOP_SILENT_TEXT = f"NOT CONFIRMED: the stop was not delivered. {SILENT_TEXT}"
 STOPPED_TEXT = "A stop came after this start had been received: look at the cell, then start again, under a new key."
 
 
@@ -101,38 +108,52 @@ async def start(
     response_model=StopAnswer,
     responses={
         200: {"description": "Standstill of the arm was measured after the stop command."},
-        202: {"model": StopAnswer, "description": "The control process has the stop; standstill is not measured yet."},
+        202: {"model": StopAnswer, "description": "The control process has the stop; standstill is NOT CONFIRMED."},
         **described(503),
+    },
+    openapi_extra={
+        "parameters": [
+            {
+                "name": "operator",
+                "in": "query",
+                "required": False,
+                "description": "Name of the person who stops, for the record. No value of it refuses a stop.",
+                "schema": {"type": "string", "maxLength": OPERATOR_LENGTH},
+            }
+        ]
     },
 )
 async def stop(request: Request, response: Response) -> StopAnswer:
-    """Stop now. A stop is accepted in every state, without a body, any number of times.
+    """Stop now. A stop is accepted in every state, without a body, any number of times, and answered within a second.
 
-    It goes to the control process on a session of its own, ahead of the history and every other request. This is
-    process protection: it is not the robot's emergency stop and replaces no certified safety function.
+    It goes to the control process on a session of its own, ahead of the history and every other request. Only a page
+    of another site is refused. This is process protection: it is not the robot's emergency stop and replaces no
+    certified safety function.
     """
     runtime = runtime_of(request)
     runtime.cell.stops_asked += 1
-    stopper = runtime.cell.stopper
+    stopper, loop = runtime.cell.stopper, asyncio.get_running_loop()
+    deadline = loop.time() + WITHIN_S
+    asked = StopRequest(reason="stop over HTTP", requested_by=asked_by(request.scope))
     try:
-        status = await deliver(stopper, StopRequest(reason="stop over HTTP", requested_by="api"))
-    except CellSilentError as error:
-        _log.error("stop not delivered")
-        raise ProblemError(503, "STOP_NOT_DELIVERED", SILENT_TEXT, state=CellState.UNKNOWN) from error
-    runtime.cell.client.heed(status)
-    status = await confirm(stopper, status)
-    confirmed = is_standing(status)
-    _log.warning("stop", confirmed=confirmed, state=status.state.value)
-    if not confirmed:
+        told = await deliver(stopper, asked)
+    except Exception as error:  # whatever it is, the person who stops must be told what to do
+        _log.error("stop not delivered", asked_by=asked.requested_by, error=str(error))
+        raise ProblemError(
+            503, "STOP_NOT_DELIVERED", STOP_SILENT_TEXT, state=CellState.UNKNOWN, confirmed=False
+        ) from error
+    runtime.cell.client.heed(told)
+    stopped = await confirm(stopper, told, deadline - loop.time())
+    status = stopped.status
+    _log.warning("stop", confirmed=stopped.confirmed, state=status.state.value, asked_by=asked.requested_by)
+    if not stopped.confirmed:
         response.status_code = 202
     return StopAnswer(
         cell=status.cell,
-        confirmed=confirmed,
+        confirmed=stopped.confirmed,
         state=status.state if stopper.is_alive else CellState.UNKNOWN,
         measured=status.measured,
-        detail="standstill is measured"
-        if confirmed
-        else "the control process has the stop, but standstill is not measured yet: watch GET /status",
+        detail="standstill is measured" if stopped.confirmed else NOT_CONFIRMED_TEXT,
     )
 
 

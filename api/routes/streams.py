@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator
+from contextlib import nullcontext
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query
@@ -36,21 +37,37 @@ async def events(
     replay: Annotated[
         int, Query(ge=0, le=100, description="Number of newest events to begin with, if no id is given.")
     ] = 0,
+    frames: Annotated[bool, Query(description="Also stream the points of `GET /telemetry`.")] = False,
 ) -> AsyncIterator[ServerSentEvent]:
     """Stream `event` (an `Event`, with id), `status` (a `CellStatus`, at least four a second) and `resync`.
 
-    `resync` means that events after `Last-Event-ID` are lost: read `GET /runs` again.
+    `resync` means that events after `Last-Event-ID` are lost: read `GET /runs` again. With `frames`, the stream also
+    carries `frame`, so that a page needs one connection.
     """
-    with runtime.cell.feed.subscribe(last_event_id, replay) as subscription:
-        yield ServerSentEvent(event="status", data=runtime.status(), retry=RECONNECT_MS)
-        if not subscription.resumed:
-            yield ServerSentEvent(event="resync", data={"last_event_id": last_event_id})
-        while not (subscription.ended or runtime.closing.is_set()):
-            event = await subscription.next(STATUS_PERIOD_S)
-            if event is None:
-                yield ServerSentEvent(event="status", data=runtime.status())
-            else:
-                yield ServerSentEvent(event="event", id=event_id(event), data=event)
+    cell, clock = runtime.cell, asyncio.get_running_loop().time
+    period_s = FRAME_PERIOD_S if frames else STATUS_PERIOD_S
+    async with cell.client.telemetry() if frames else nullcontext(asyncio.Queue[Telemetry]()) as points:
+        with cell.feed.subscribe(last_event_id, replay) as subscription:
+            yield ServerSentEvent(event="status", data=runtime.status(), retry=RECONNECT_MS)
+            if not subscription.resumed:
+                yield ServerSentEvent(event="resync", data={"last_event_id": last_event_id})
+            status_at = frame_at = clock()
+            while not (subscription.ended or runtime.closing.is_set()):
+                is_changed = False
+                try:
+                    event = await subscription.next(period_s)
+                except TimeoutError:
+                    pass
+                else:
+                    if event is not None:
+                        yield ServerSentEvent(event="event", id=event_id(event), data=event)
+                    is_changed = event is None
+                if is_changed or clock() - status_at >= STATUS_PERIOD_S:
+                    status_at = clock()
+                    yield ServerSentEvent(event="status", data=runtime.status())
+                if clock() - frame_at >= FRAME_PERIOD_S and (frame := _newest(points)) is not None:
+                    frame_at = clock()
+                    yield ServerSentEvent(event="frame", data=frame)
 
 
 @router.get(

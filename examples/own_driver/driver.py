@@ -1,7 +1,6 @@
 """The driver of that arm: the smallest class with everything that `service.drivers.base.Driver` asks for."""
 
 import asyncio
-import contextlib
 import secrets
 from collections.abc import Callable
 
@@ -83,8 +82,7 @@ class PointMassDriver:
         self.stop()
         if self._task is not None:
             self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
+            await asyncio.wait({self._task})
 
     async def _let_time_pass(self, sink: SampleSink) -> None:
         while True:

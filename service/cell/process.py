@@ -19,11 +19,14 @@ from service.drivers.base import Driver
 from service.drivers.watchdog import Watchdog
 from service.messages import QUERY_STATUS, STATUS_ANSWER, CellState, EventKind
 from service.notify import Notifier
+from service.tasks import end_tasks
 from wire.endpoints import EndpointInUseError
 from wire.realtime import freeze_garbage, request_realtime
 from wire.session import close_session, open_session, query
 from wire.tls import Access, is_encrypted
 
+TASKS_END_S = 0.5
+"""Longest wait for a task of the cell that was cancelled, s."""
 POLICIES_S = 5.0
 """Longest time for which the cell waits for its policies before it serves, s."""
 CONNECT_S = 0.5
@@ -49,10 +52,11 @@ async def attended(cell: Cell, beats: Sequence[Callable[[], None]] = ()) -> Asyn
     finally:
         link.cancel()
         await cell.close()
-        watch.cancel()
-        for result in await asyncio.gather(link, watch, return_exceptions=True):
-            if isinstance(result, Exception):
-                _log.error("task of the cell", error=repr(result))
+        for task in await end_tasks([link, watch], TASKS_END_S):
+            _log.error("a task of the cell does not end", task=repr(task))
+        for task in (link, watch):
+            if task.done() and not task.cancelled() and task.exception() is not None:
+                _log.error("task of the cell", error=repr(task.exception()))
 
 
 @contextmanager
@@ -121,6 +125,9 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
         raise
     try:
         plane = ControlPlane(cell, session)
+        if ended.is_set():  # told to end while it started: nothing more is started
+            await cell.close()
+            return
         with guarded(cell, brake) as (notifier, beats):
             async with attended(cell, beats):
                 status = asyncio.create_task(plane.publish_status(), name="status")
@@ -129,9 +136,7 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
                 await ended.wait()
                 _log.info("ending", state=cell.state.value)
                 notifier.send("STOPPING=1")
-            status.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await status
+            await end_tasks([status], TASKS_END_S)
     finally:
         await asyncio.to_thread(close_session, session)
 

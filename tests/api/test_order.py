@@ -64,6 +64,7 @@ async def test_61_a_start_that_waits_for_the_history_does_not_survive_a_stop_pas
         start = asyncio.create_task(api.http.post("/start", json={"recipe": RECIPE}))
         await asyncio.sleep(0.3)
         await api.runtime.cell.stopper.stop(StopRequest(reason="past the API"))
+        await asyncio.sleep(0.3)  # by now this server has heard of it
     assert (await start).json()["reason"] == "STOPPED"
     assert not cell.runs
 

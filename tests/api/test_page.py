@@ -4,10 +4,10 @@ import shutil
 from collections.abc import AsyncIterator
 
 import pytest
-from playwright.async_api import Page, async_playwright
+from playwright.async_api import BrowserContext, Page, async_playwright
 
 from service.faults import FaultCode
-from service.messages import EventKind
+from service.messages import CellState, EventKind
 from tests.api.wire_cell import RECIPE, Api, WireCell, until
 
 CHROMIUM = shutil.which("chromium")
@@ -17,24 +17,41 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not instal
 
 
 @pytest.fixture
-async def page(api: Api) -> AsyncIterator[Page]:
-    """The page at 1280x800 in a browser that reports what the page did wrong and whom else it asked."""
+async def browser() -> AsyncIterator[BrowserContext]:
     async with async_playwright() as playwright:
         browser = await playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        page = await browser.new_page(viewport={"width": 1280, "height": 800})
-        wrong: list[str] = []
-        asked: list[str] = []
-        page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
-        await page.goto(f"http://127.0.0.1:{api.port}/")
-        await shows(page, "READY")
-        yield page
-        api.close_streams()
+        yield await browser.new_context(viewport={"width": 1280, "height": 800})
         await browser.close()
-        refusals = ("409", "503")  # the browser reports every refused request as an error of its own
-        assert [text for text in wrong if not any(status in text for status in refusals)] == []
-        assert all(url.startswith(f"http://127.0.0.1:{api.port}/") for url in asked)
+
+
+@pytest.fixture
+async def page(api: Api, browser: BrowserContext) -> AsyncIterator[Page]:
+    """The page at 1280x800 in a browser that reports what the page did wrong and whom else it asked."""
+    page = await browser.new_page()
+    wrong: list[str] = []
+    asked: list[str] = []
+    page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    await open_page(page, api)
+    yield page
+    api.close_streams()
+    # The browser reports every refused request, and one without an answer, as an error of its own.
+    own = ("409", "503", "ERR_CONNECTION_REFUSED")
+    assert [text for text in wrong if not any(part in text for part in own)] == []
+    assert all(url.startswith(f"http://127.0.0.1:{api.port}/") for url in asked)
+
+
+async def open_page(page: Page, api: Api) -> None:
+    await page.goto(f"http://127.0.0.1:{api.port}/")
+    await shows(page, "READY")
+
+
+async def six_windows(browser: BrowserContext, api: Api) -> list[Page]:
+    windows = [await browser.new_page() for _ in range(6)]
+    for window in windows:
+        await open_page(window, api)
+    return windows
 
 
 async def shows(page: Page, state: str) -> None:
@@ -83,11 +100,95 @@ async def test_a_silent_control_process_is_unknown_and_stop_stays_enabled(page: 
     await shows(page, "READY")
 
 
-async def test_a_server_that_is_gone_is_unknown(page: Page, api: Api) -> None:
-    await page.route("**/events*", lambda route: route.abort())
+async def test_a_server_that_is_gone_is_unknown_and_its_stop_is_not_confirmed(page: Page, api: Api) -> None:
+    api.server.should_exit = True
     api.close_streams()
     await shows(page, "UNKNOWN")
     assert "No connection" in (await page.text_content("#reason") or "")
+    await until(lambda: not api.server.server_state.connections)
+    await page.click("#stop")
+    await page.wait_for_selector("#answer.bad:has-text('NOT CONFIRMED')")
+    assert "robot's own emergency stop" in (await page.text_content("#answer") or "")
+
+
+async def test_75_a_stop_without_an_answer_is_shown_as_not_confirmed(page: Page, cell: WireCell) -> None:
+    await page.route("**/stop*", lambda _route: None)  # asked, and never answered
+    await page.click("#stop")
+    await page.wait_for_selector("#answer.bad:has-text('NOT CONFIRMED within a second')")
+    await page.unroute("**/stop*")
+    cell.arm_stops = False
+    await page.click("#start")
+    await shows(page, "RUNNING")
+    await page.click("#stop")
+    await page.wait_for_selector("#answer.bad:has-text('standstill is not measured')")
+    assert "NOT CONFIRMED" in (await page.text_content("#answer") or "")
+
+
+@pytest.mark.parametrize("has_worker", [True, False], ids=["worker", "no worker"])
+async def test_74_stop_stops_with_six_windows_open(
+    api: Api, cell: WireCell, browser: BrowserContext, has_worker: bool
+) -> None:
+    if not has_worker:
+        await browser.add_init_script("delete window.SharedWorker")
+    windows = [await browser.new_page() for _ in range(6)]
+    for window in windows:
+        await window.goto(f"http://127.0.0.1:{api.port}/", wait_until="commit" if not has_worker else "load")
+        if has_worker:
+            await shows(window, "READY")
+    if has_worker:
+        assert api.subscribers == 1
+        await windows[0].click("#start")
+    else:
+        await api.http.post("/start", json={"recipe": RECIPE})
+    await until(lambda: cell.state is CellState.RUNNING)
+    await windows[3].click("#stop")
+    await until(lambda: cell.state is CellState.LATCHED)
+    await windows[3].wait_for_selector("#answer.good:has-text('Stopped: standstill is measured')")
+    api.close_streams()
+
+
+async def test_74_stop_passes_the_waiting_requests_of_six_windows(
+    api: Api, cell: WireCell, browser: BrowserContext
+) -> None:
+    windows = await six_windows(browser, api)
+    cell.hold_starts = True
+    for window in windows:
+        await window.click("#start")
+    await until(lambda: len(cell.held) >= 5)
+    await windows[5].click("#stop")
+    await until(lambda: cell.stops)
+    await windows[5].wait_for_selector("#answer.good:has-text('Stopped: standstill is measured')")
+    cell.release()
+    api.close_streams()
+
+
+async def test_74_the_windows_that_stay_live_on_when_others_are_closed(
+    api: Api, cell: WireCell, browser: BrowserContext
+) -> None:
+    windows = await six_windows(browser, api)
+    for window in windows[:5]:
+        await window.close()
+    await api.http.post("/start", json={"recipe": RECIPE})
+    await shows(windows[5], "RUNNING")
+    assert api.subscribers == 1
+    await windows[5].click("#stop")
+    await until(lambda: cell.stops)
+    await shows(windows[5], "LATCHED")
+    api.close_streams()
+
+
+async def test_74_a_page_whose_worker_is_gone_opens_a_stream_of_its_own(
+    api: Api, cell: WireCell, browser: BrowserContext
+) -> None:
+    page = await browser.new_page()
+    await page.route("**/shared-link.js", lambda route: route.fulfill(body="", content_type="text/javascript"))
+    await browser.route("**/shared-link.js", lambda route: route.fulfill(body="", content_type="text/javascript"))
+    await open_page(page, api)
+    await page.click("#start")
+    await shows(page, "RUNNING")
+    await page.click("#stop")
+    await until(lambda: cell.stops)
+    api.close_streams()
 
 
 async def test_the_first_tab_stop_is_stop_and_enter_presses_it(page: Page, cell: WireCell) -> None:

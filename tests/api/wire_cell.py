@@ -16,6 +16,7 @@ import uvicorn
 import zenoh
 
 from api.application import create_app
+from api.connections import Connection
 from api.runtime import Runtime
 from service import messages
 from service.config import CellConfig, load
@@ -42,6 +43,7 @@ from service.messages import (
     Status,
     StatusResult,
     StopMark,
+    StopRequest,
     Telemetry,
 )
 from wire.session import close_session, open_session
@@ -108,7 +110,10 @@ class WireCell:
 
     Attributes:
         stops: reasons of the stop commands received.
+        stopped_by: who asked for them.
         arm_stops: whether a stop brings the arm to a measured standstill.
+        moves_after_stop: the first sample after a stop shows the arm moving.
+        samples_come: every status has newer samples.
         heartbeat: publish the status at all.
         deaf_to_starts: end start requests without an answer.
         deaf: end every request without an answer.
@@ -122,9 +127,12 @@ class WireCell:
     measured: Measured | None = field(default_factory=standing)
     runs: list[Run] = field(default_factory=list)
     stops: list[str] = field(default_factory=list)
+    stopped_by: list[str] = field(default_factory=list)
     resets: list[ResetRequest] = field(default_factory=list)
     refuse_start: Problem | None = None
     arm_stops: bool = True
+    moves_after_stop: bool = False
+    samples_come: bool = True
     heartbeat: bool = True
     deaf_to_starts: bool = False
     deaf: bool = False
@@ -134,6 +142,7 @@ class WireCell:
     epoch: str = "e1"
     seq: int = 0
     event_seq: int = 0
+    sample_seq: int = 0
 
     def __enter__(self) -> "WireCell":
         self._lock = threading.RLock()
@@ -172,6 +181,7 @@ class WireCell:
     def status(self) -> Status:
         with self._lock:
             self.seq += 1
+            self.sample_seq += 25 if self.samples_come else 0
             return Status(
                 cell=self.id,
                 service_epoch=self.epoch,
@@ -184,7 +194,7 @@ class WireCell:
                 why_not=None if self.state is CellState.READY else f"the cell is {self.state}",
                 latch=self.latch,
                 run=self.run,
-                measured=self.measured,
+                measured=self.measured and self.measured.model_copy(update={"sample_seq": self.sample_seq}),
                 driver="zenoh_sim",
                 mode="real_time",
                 recipes=(RECIPE,),
@@ -270,16 +280,21 @@ class WireCell:
         return RunResult(run=run, created=True)
 
     def _stop(self, payload: bytes) -> Message:
-        return self.stop(json.loads(payload)["request"]["reason"])
+        request = StopRequest.model_validate(json.loads(payload)["request"])
+        return self.stop(request.reason, request.requested_by)
 
-    def stop(self, reason: str) -> Message:
+    def stop(self, reason: str, requested_by: str = "") -> Message:
         with self._lock:
             self.stops.append(reason)
+            self.stopped_by.append(requested_by)
             if self.state is CellState.RUNNING:
                 self.state = CellState.STOPPING
                 if self.arm_stops:
                     self.fault(FaultCode.OPERATOR_STOP, "stopped")
-            return StatusResult(status=self.status())
+            answer = StatusResult(status=self.status())
+            if self.moves_after_stop:
+                self.measured = standing(moving=True)
+            return answer
 
     def _reset(self, payload: bytes) -> Message:
         request = ResetRequest.model_validate(json.loads(payload)["request"])
@@ -382,7 +397,17 @@ async def serving(path: Path) -> AsyncIterator[Api]:
     config = load(path)
     app = create_app(config, path)
     port = free_port()
-    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=port, log_config=None, lifespan="on"))
+    settings = uvicorn.Config(
+        app,
+        host="127.0.0.1",
+        port=port,
+        http=Connection,
+        ws="none",
+        log_config=None,
+        lifespan="on",
+        timeout_graceful_shutdown=5,
+    )
+    server = uvicorn.Server(settings)
     task = asyncio.create_task(server.serve())
     await until(lambda: server.started or task.done())
     assert not task.done(), "uvicorn did not start"

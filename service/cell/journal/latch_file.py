@@ -122,15 +122,16 @@ class LatchFile:
             finally:
                 os.close(number)
 
-    def _attend(self) -> bool:
-        """Write the latch anew where the file at the path is not the one that was written."""
-        if self._present_mark() == self._mark:
-            return False
+    def _attend(self, failed: bool) -> bool:
+        """Write the latch anew where the file at the path is not the one that was written, or could not be."""
+        altered = self._present_mark() != self._mark
         try:
-            self._replace(self._latch)
+            if altered or failed:
+                self._replace(self._latch)
         finally:
-            self.lost = ALTERED.format(path=self._path)
-        return True
+            if altered:
+                self.lost = ALTERED.format(path=self._path)
+        return altered or failed
 
     def _present_mark(self) -> tuple[int, ...] | None:
         """Return what tells whether the file at the path is the one that was written; None where there is none."""

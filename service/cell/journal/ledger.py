@@ -141,7 +141,7 @@ class Ledger:
         line = _line(document)
 
         def write() -> None:
-            self._attend()
+            self._attend(failed=False)
             self._put(line)
 
         return self._storage.submit(write)
@@ -209,10 +209,16 @@ class Ledger:
     def _sync(self) -> None:
         os.fsync(self._file.fileno())
 
-    def _attend(self) -> bool:
-        """Write every known run anew where the file at the path is not the one that is being written."""
+    def _attend(self, failed: bool) -> bool:
+        """Write every known run anew where the file at the path is not the one that is being written.
+
+        Args:
+            failed: try the file by an empty line if it is.
+        """
         if self._is_ours():
-            return False
+            if failed:
+                self._put(b"\n")
+            return failed
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self._open()

@@ -72,10 +72,13 @@ class Storage:
     Args:
         name: of the file, for people.
         sync: brings to the disk what was written.
-        attend: looks after the file while nothing is written; it returns whether it has written. Both may block.
+        attend: looks after the file while nothing is written; it is told whether the last write failed, so that it
+            tries the file, and returns whether it has written. Both may block.
     """
 
-    def __init__(self, name: str, sync: Callable[[], object], attend: Callable[[], bool] = lambda: False) -> None:
+    def __init__(
+        self, name: str, sync: Callable[[], object], attend: Callable[[bool], bool] = lambda failed: False
+    ) -> None:
         self._name = name
         self._sync = sync
         self._attend = attend
@@ -161,7 +164,7 @@ class Storage:
         """Look after the file; whose file it is says what is wrong with it."""
 
         def attend() -> None:
-            if self._attend():
+            if self._attend(self._fault is not None):
                 self._unsynced.put(Write(attend))
 
         self._timed("writing", attend)

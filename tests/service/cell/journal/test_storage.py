@@ -1,4 +1,5 @@
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -13,7 +14,9 @@ Made = Callable[..., Storage]
 def made() -> Iterator[Made]:
     storages: list[Storage] = []
 
-    def make(sync: Callable[[], object] = lambda: None, attend: Callable[[], bool] = lambda: False) -> Storage:
+    def make(
+        sync: Callable[[], object] = lambda: None, attend: Callable[[bool], bool] = lambda failed: False
+    ) -> Storage:
         storages.append(Storage("file", sync, attend))
         return storages[-1]
 
@@ -79,6 +82,26 @@ def test_a_failed_write_is_a_fault_until_one_succeeds(made: Made) -> None:
     assert "disk full" in storage.fault
     storage.submit(lambda: None).synced.result(5.0)
     assert storage.fault is None
+
+
+def test_51_a_fault_of_the_disk_ends_by_itself_once_the_file_can_be_written_again(made: Made) -> None:
+    broken = [True]
+
+    def write() -> None:
+        if broken:
+            raise OSError("disk full")
+
+    def attend(failed: bool) -> bool:
+        if failed:
+            write()
+        return failed
+
+    storage = made(attend=attend)
+    storage.submit(write).synced.exception(5.0)
+    assert storage.fault is not None
+    broken.clear()
+    while storage.fault is not None:
+        time.sleep(0.01)
 
 
 def test_an_owed_write_is_tried_again_and_a_fault_until_it_is_done(made: Made) -> None:
