@@ -3,10 +3,13 @@
 import errno
 import fcntl
 import hashlib
+import os
 import socket
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
+
+_TEXT_LENGTH = 200
 
 
 @contextmanager
@@ -18,17 +21,24 @@ def alone(state_dir: Path) -> Generator[None]:
     other containers, and a name in the kernel, which nobody can delete.
 
     Raises:
-        OSError: another process has locked it, or it cannot be written.
+        OSError: another process has locked it, and the text names that process; or it cannot be written.
     """
-    taken = f"another control process uses {state_dir}: stop it, or give this cell a cell.state_dir of its own"
     state_dir.mkdir(parents=True, exist_ok=True)
     path = hashlib.sha256(str(state_dir.resolve()).encode()).hexdigest()
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as name, (state_dir / "lock").open("w") as lock:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as name, (state_dir / "lock").open("a+") as lock:
         try:
             name.bind(f"\0dsl-assembly {path}")
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise OSError(taken) from None
         except OSError as error:
-            raise OSError(taken if error.errno == errno.EADDRINUSE else str(error)) from error
+            if not isinstance(error, BlockingIOError) and error.errno != errno.EADDRINUSE:
+                raise
+            lock.seek(0)
+            who = lock.read(_TEXT_LENGTH).strip()
+            raise OSError(
+                f"another control process uses {state_dir}{f' ({who})' if who else ''}: stop it, or give this cell a "
+                "cell.state_dir of its own"
+            ) from None
+        lock.truncate(0)
+        lock.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+        lock.flush()
         yield

@@ -52,8 +52,11 @@ class IdleArm:
 
     def observe(self, sample: Sample) -> Notice | None:
         """Take in a sample of an arm that this cell does not drive; return what is new, if anything is."""
-        if sample.program in (Program.ENGAGED, Program.STOPPING):
+        if sample.program is Program.ENGAGED:
             return self._engaged(sample)
+        if sample.program is Program.STOPPING:  # as a program that was paused and goes on does, under a standing stop
+            self._rest = None
+            return None
         self._idle, self._told = True, False
         return self._moved(sample)
 
@@ -64,7 +67,7 @@ class IdleArm:
         if self._told or not (self._idle or sample.arrival_s - self._begun_s > self._patience_s):
             return None
         self._told = True
-        text = f"the arm's program is {sample.program.name}, and this cell has not engaged it: who else drives the arm?"
+        text = "the arm's program is engaged, and this cell has not engaged it: who else drives the arm?"
         return Notice(text, driven=True)
 
     def _moved(self, sample: Sample) -> Notice | None:

@@ -362,8 +362,8 @@ class Insertion:
         yield order
         if settled:
             yield from self._conclude(seat, sample)
-        else:
-            yield from self._judge(sample, decision.locked)
+        elif (text := plan.why_end(decision.locked, self.steps)) is not None:
+            yield from self._fail(FaultCode.SEARCH_LIMIT, text, sample)
 
     def _conclude(self, seat: Seat, sample: Sample) -> Iterator[Order]:
         """Act on a finding about the peg's seat."""
@@ -374,18 +374,6 @@ class Insertion:
         else:
             self._doubt = seat, Probe(self._plan.probe, sample.tcp_position, float(yaw_and_tilt(sample.tcp_rotvec)[0]))
             self._go(Stage.PROBING, sample)
-
-    def _judge(self, sample: Sample, locked: dsl.DslOutput) -> Iterator[Order]:
-        plan = self._plan
-        if bool(locked.search_depth_exceeded):
-            text = f"no contact within {plan.step.lock.search_depth_m * 1e3:g} mm"
-        elif bool(locked.search_time_exceeded):
-            text = f"no contact within {plan.step.lock.search_steps} steps"
-        elif self.steps >= plan.max_steps:
-            text = f"not inserted within {plan.max_steps} steps"
-        else:
-            return
-        yield from self._fail(FaultCode.SEARCH_LIMIT, text, sample)
 
     # --- ends
 

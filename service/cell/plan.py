@@ -7,6 +7,7 @@ import numpy as np
 from service.config import CellConfig, LimitsSection, RecipeSection
 from service.policy.contract import PolicyContract
 from service.policy.step import PolicyStep, command_bounds
+from service.safety.dsl import DslOutput
 from service.safety.monitor import MonitorParameters
 from service.safety.preflight import PreflightParameters
 from service.safety.probe import ProbeParameters
@@ -84,6 +85,19 @@ class Plan:
     step: PolicyStep
     seating: SeatingParameters
     probe: ProbeParameters
+
+    def why_end(self, locked: DslOutput, steps: int) -> str | None:
+        """Return why the search for the hole ends without success; None where it goes on.
+
+        Args:
+            locked: output of the lock at the last policy step.
+            steps: policy steps so far.
+        """
+        if bool(locked.search_depth_exceeded):
+            return f"no contact within {self.step.lock.search_depth_m * 1e3:g} mm"
+        if bool(locked.search_time_exceeded):
+            return f"no contact within {self.step.lock.search_steps} steps"
+        return f"not inserted within {self.max_steps} steps" if steps >= self.max_steps else None
 
     def why_not_hole(self, estimate: FloatArray) -> str | None:
         """Return why an estimate cannot be the recipe's hole; None where it can.

@@ -17,17 +17,21 @@ from service.cell.watch import keep_linked, keep_watch
 from service.config import CellConfig
 from service.drivers.base import Driver
 from service.drivers.watchdog import Watchdog
-from service.messages import CellState, EventKind
+from service.messages import QUERY_STATUS, STATUS_ANSWER, CellState, EventKind
 from service.notify import Notifier
 from service.tasks import end_tasks
+from wire.endpoints import EndpointInUseError
 from wire.realtime import freeze_garbage, request_realtime
-from wire.session import close_session, open_session
+from wire.session import close_session, open_session, query
 from wire.tls import Access, is_encrypted
 
 TASKS_END_S = 0.5
 """Longest wait for a task of the cell that was cancelled, s."""
 POLICIES_S = 5.0
 """Longest time for which the cell waits for its policies before it serves, s."""
+CONNECT_S = 0.5
+ANSWER_S = 1.0
+"""Time in which the process that listens at this one's endpoint must be reached, and must say which cell it is, s."""
 WATCHDOG_LOST = "the watchdog has ended: a loop that hangs is stopped by the arm alone; restart the control process"
 
 _log = structlog.get_logger("service")
@@ -113,6 +117,9 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
         session = await asyncio.to_thread(
             open_session, [config.cell.endpoint], (), config.certificates, _access(config)
         )
+    except EndpointInUseError as error:
+        await cell.close()
+        raise EndpointInUseError(f"{error}{await _who_serves(config)}") from error
     except BaseException:
         await cell.close()
         raise
@@ -140,6 +147,20 @@ async def _await_policies(cell: Cell, ended: asyncio.Event) -> None:
         async with asyncio.timeout(POLICIES_S):
             while not cell.policies_settled and not ended.is_set():
                 await asyncio.sleep(0.01)
+
+
+async def _who_serves(config: CellConfig) -> str:
+    """Return the name of the cell whose control process listens at this one's endpoint; empty if none answers."""
+    session = await asyncio.to_thread(open_session, (), [config.cell.endpoint], config.certificates)
+    try:
+        await asyncio.sleep(CONNECT_S)
+        answers = await query(session, QUERY_STATUS.format(cell="*"), b"", ANSWER_S)
+    finally:
+        await asyncio.to_thread(close_session, session)
+    if not answers:
+        return ""
+    status = STATUS_ANSWER.validate_json(answers[0])
+    return f": the control process of cell {status.status.cell}" if status.kind == "status" else ""
 
 
 def _access(config: CellConfig) -> Access | None:

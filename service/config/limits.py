@@ -131,5 +131,5 @@ class WitnessSection(Section):
     """
 
     force_n: Annotated[float, number(1.0, 30.0, "the joints' own friction; a whole ceiling apart")] = 12.0
-    time_s: Annotated[float, number(0.002, 0.1, "one sample; longer than a blow lasts")] = 0.01
+    time_s: Annotated[float, number(0.002, 0.1, "one sample; longer than a blow lasts")] = 0.02
     rest_force_n: Annotated[float, number(1.0, 30.0, "the joints' own friction; a pressed tool")] = 6.0

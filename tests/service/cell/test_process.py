@@ -232,5 +232,22 @@ def test_an_endpoint_in_use_is_a_clear_error(tmp_path: Path) -> None:
     assert "Traceback" not in ended.stderr
 
 
+async def test_81_a_second_cell_at_an_endpoint_is_refused_by_the_name_of_the_first(tmp_path: Path) -> None:
+    path, endpoint = configured(tmp_path)
+    async with control_process(path, endpoint) as (first, client):
+        second = tmp_path / "second.toml"
+        second.write_text(path.read_text().replace('"state"', '"second"').replace('id = "cell-1"', 'id = "cell-2"'))
+        ended = await asyncio.to_thread(run_service, "control", "--config", str(second))
+        assert ended.returncode == 3
+        assert "is in use by another process: the control process of cell cell-1" in ended.stderr
+        second.write_text(path.read_text())
+        ended = await asyncio.to_thread(run_service, "control", "--config", str(second))
+        assert ended.returncode == 3
+        assert f"(process {first.pid} on " in ended.stderr
+        assert client.state is CellState.READY
+        assert client.last_status is not None
+        assert client.last_status.latch is None, "the first is not disturbed"
+
+
 def test_the_schema_is_printed_as_json() -> None:
     assert "limits" in json.loads(run_service("config", "schema").stdout)["properties"]

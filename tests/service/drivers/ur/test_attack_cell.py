@@ -41,7 +41,7 @@ async def test_a_slider_that_is_moved_latches_and_the_next_run_is_refused_until_
     await running(cell)
 
 
-async def test_a_run_that_was_paused_does_not_go_on_after_reset_and_resumption(cell: Bench) -> None:
+async def test_34_a_run_that_was_paused_does_not_go_on_after_reset_and_resumption(cell: Bench) -> None:
     await running(cell)
     controller = arm_of(cell).controller
     controller.pause()
