@@ -12,7 +12,7 @@ from api.history import HistoryError, RunHistory
 from api.receipt import Receipt
 from service.client import SILENCE_S, CellClient, CellError, CellRefusedError
 from service.faults import FaultCode
-from service.messages import CellState, Event, EventKind, Run, RunsRequest, RunState, Status
+from service.messages import CellState, Event, EventKind, Run, RunsRequest, RunState, Status, StopMark
 
 _log = structlog.get_logger("api.cell")
 
@@ -23,6 +23,8 @@ FROZEN_S = 0.2
 """Lateness of the event loop at which requests may have waited unread, s."""
 DOUBT_S = 0.2
 """Time after such a freeze in which they are read, s."""
+KEYS_HEARD = 1024
+"""Idempotency keys whose first mark is remembered."""
 UNKNOWN_TEXT = "the cell's ledger does not have this run any more: how it ended is not known"
 
 
@@ -58,6 +60,7 @@ class FollowedCell:
         self._clock = clock
         self._turned_at, self._turned_mark = clock(), client.mark
         self._doubted_until, self._doubted_mark = clock(), client.mark
+        self._first_marks: dict[str, StopMark | None] = {}
         self._last_state = CellState.UNKNOWN
         self._reconcile = asyncio.Event()
 
@@ -96,6 +99,20 @@ class FollowedCell:
         else:
             mark = self.client.mark
         return Receipt(mark, self.stops_asked)
+
+    def first_mark(self, key: str | None, mark: StopMark | None) -> StopMark | None:
+        """Return the mark of the first start under an idempotency key: a repeated start is as old as that one.
+
+        Args:
+            key: of the start.
+            mark: of this request.
+        """
+        if key is None:
+            return mark
+        first = self._first_marks.setdefault(key, mark)
+        if len(self._first_marks) > KEYS_HEARD:
+            del self._first_marks[next(iter(self._first_marks))]
+        return first or mark
 
     async def wait_alive(self, timeout_s: float) -> bool:
         """Wait up to `timeout_s` for a heartbeat; return whether one arrived."""

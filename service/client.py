@@ -176,8 +176,14 @@ class CellClient:
         Raises:
             CellSilentError: no answer in time.
         """
+        deadline = time.monotonic() + timeout_s
         envelope = self._enveloped(request)  # without a ticket where there is none: a stop waits for nothing
-        return self.heed(_unwrap(await self._ask(messages.STOP, envelope, messages.STATUS_ANSWER, timeout_s)).status)
+        answered = await self._ask(messages.STOP, envelope, messages.STATUS_ANSWER, timeout_s)
+        if isinstance(answered, Refused):  # somebody else has used its number: no ticket, no doubt
+            bare = envelope.model_copy(update={"ticket": None})
+            rest_s = max(0.1, deadline - time.monotonic())
+            answered = await self._ask(messages.STOP, bare, messages.STATUS_ANSWER, rest_s)
+        return self.heed(_unwrap(answered).status)
 
     async def reset(self, request: ResetRequest, timeout_s: float = 5.0) -> Status:
         """Acknowledge the latched fault; nothing moves.

@@ -10,6 +10,9 @@ import zenoh
 from wire.endpoints import EndpointError, EndpointInUseError
 from wire.tls import Access, Certificates
 
+UNREAD_S = 0.5
+"""Time for which a query or an answer waits for a peer that does not read, s; then the link to that peer is closed."""
+
 
 class QueryRefusedError(Exception):
     """The other side answered with an error; the text is the other side's."""
@@ -47,6 +50,7 @@ def open_session(
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/link/tx/queue/batching/enabled": False,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": round(1e6 * UNREAD_S),
         "transport/shared_memory/enabled": False,  # a killed process would leave segments behind
     }
     for part in (certificates, access):

@@ -58,13 +58,14 @@ async def start(
 
     The run continues on its own: follow it with `GET /runs/{id}`, `GET /status` or `GET /events`.
     """
+    receipt: Receipt = request.state.receipt
+    after = runtime.cell.first_mark(idempotency_key, receipt.mark)
     if runtime.cell.is_silent:
         raise ProblemError(503, "CELL_SILENT", runtime.status().why_not or SILENT_TEXT, state=CellState.UNKNOWN)
     try:
         await runtime.cell.history.check()
     except HistoryError as error:
         raise ProblemError(503, "STORAGE", str(error)) from error
-    receipt: Receipt = request.state.receipt
     if await request.is_disconnected():
         raise ProblemError(503, "EXPIRED", "The client gave up before the start was sent to the control process.")
     if receipt.stops_asked != runtime.cell.stops_asked:
@@ -74,7 +75,7 @@ async def start(
         seed=body.seed,
         idempotency_key=idempotency_key,
         requested_by=body.operator or "api",
-        after=receipt.mark,
+        after=after,
     )
     try:
         result = await runtime.unless_closing(runtime.cell.client.start(start_request))

@@ -16,6 +16,7 @@ import zenoh
 
 from service import messages
 from service.cell.admission import refused
+from service.cell.answers import Answers
 from service.cell.cell import Cell
 from service.cell.reception import NotACommandError, Reception, read
 from service.cell.tick_record import TickRecord
@@ -95,6 +96,8 @@ class ControlPlane:
         self._id = cell.config.cell.id
         self._loop = asyncio.get_running_loop()
         self._tasks: set[asyncio.Task[None]] = set()
+        self._answers = Answers()
+        self._stop_key = messages.STOP.format(cell=self._id)
         self._reception = Reception(cell.on_notice)
         self._status = self._publisher(session, messages.STATUS, zenoh.Priority.INTERACTIVE_HIGH)
         self._event = self._publisher(session, messages.EVENT, zenoh.Priority.DATA)
@@ -275,11 +278,7 @@ class ControlPlane:
             self._cell.telemetry_dropped += 1
 
     def _reply(self, asked: Asked, message: Message) -> None:
-        with asked.query as query:
-            try:
-                query.reply(asked.key, message.model_dump_json().encode(), express=True)
-            except zenoh.ZError as error:
-                _log.warning("reply", key=asked.key, error=str(error))
+        self._answers.send(asked.query, asked.key, message, always=asked.key == self._stop_key)
 
     def _refuse_for_load(self, asked: Asked) -> None:
         self._reply(asked, self._refused(RefusalReason.INTERNAL, "too many requests are waiting: try again"))

@@ -87,6 +87,7 @@ class Starting:
         self._deciding_key: str | None = None
         self._heard: dict[str, StopMark | None] = {}
         self._preparation: asyncio.Task[None] | None = None
+        self._cancelled = False
         self.preparing = False
 
     @property
@@ -101,6 +102,8 @@ class Starting:
         start is checked again after every wait, so that a stop, a fault or a client that has given up ends it.
         """
         key = request.idempotency_key
+        if self._cancelled:
+            return refused(self._host.state, RefusalReason.STOPPED, "the control process is ending: nothing starts")
         if (known := self._runs.find_key(key)) is not None:
             return RunResult(run=known, created=False)
         if self._deciding is not None and key is not None and key == self._deciding_key:
@@ -119,7 +122,8 @@ class Starting:
         return self._policies.settled
 
     def cancel(self) -> None:
-        """Give up the start and the preparation under way."""
+        """Give up the start and the preparation under way; every start from now on is refused."""
+        self._cancelled = True
         for task in (self._deciding, self._preparation):
             if task is not None:
                 task.cancel()

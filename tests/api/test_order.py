@@ -69,6 +69,21 @@ async def test_61_a_start_that_waits_for_the_history_does_not_survive_a_stop_pas
     assert not cell.runs
 
 
+async def test_61_a_start_that_is_repeated_under_its_key_is_as_old_as_the_first_that_this_server_refused(
+    api: Api, cell: WireCell, config_path: Path
+) -> None:
+    key = {"Idempotency-Key": "k"}
+    with busy_history(config_path):
+        first = await api.http.post("/start", json={"recipe": RECIPE}, headers=key)
+    assert (first.status_code, first.json()["reason"]) == (503, "STORAGE")
+    assert (await api.http.post("/stop")).status_code == 200
+    again = await api.http.post("/start", json={"recipe": RECIPE}, headers=key)
+    assert (again.status_code, again.json()["reason"]) == (409, "STOPPED")
+    assert not cell.runs
+    started = await api.http.post("/start", json={"recipe": RECIPE}, headers={"Idempotency-Key": "another"})
+    assert started.status_code == 202
+
+
 async def test_61_a_start_whose_body_comes_after_a_stop_is_refused(api: Api, cell: WireCell) -> None:
     reader, writer = await asyncio.open_connection("127.0.0.1", api.port)
     writer.write(HEAD)

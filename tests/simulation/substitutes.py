@@ -19,6 +19,7 @@ import fastapi.routing
 import structlog
 
 import api.application
+import service.cell.answers
 import service.cell.cell
 import service.cell.journal.storage
 import service.cell.process
@@ -192,6 +193,8 @@ def changes(host: Host, dozed_ticks: Callable[[], int]) -> list[Change]:
         (aiosqlite.core, "Connection", _database_connection(host)),
         (aiosqlite.core, "Thread", clock.Thread),
         (aiosqlite.core, "SimpleQueue", _database_queue(host)),
+        (service.cell.answers, "threading", threads.THREADING),
+        (service.cell.answers, "queue", threads.QUEUE),
         (service.cell.journal.storage, "threading", threads.THREADING),
         (service.cell.journal.storage, "queue", threads.QUEUE),
         (service.client, "open_session", network.open),

@@ -254,3 +254,16 @@ async def test_a_client_whose_ticket_was_withdrawn_draws_another_and_is_obeyed(t
         stranger.client._ticket = stranger.client._ticket.model_copy(update={"ticket": secrets.token_hex(16)})
         assert (await stranger.client.start(StartRequest(recipe=RECIPE, seed=EASY))).created
         await bench.state(CellState.APPROACH)
+
+
+@pytest.mark.parametrize("number", [2**53 - 1, 40], ids=["far_ahead", "next"])
+async def test_70_a_stop_whose_number_somebody_else_has_used_stops(tmp_path: Path, number: int) -> None:
+    async with attacked(tmp_path) as stranger:
+        client = stranger.client
+        await running(stranger)
+        assert client._ticket is not None
+        await stranger.refused(RESET, envelope({}, client._ticket.ticket, number, sender="operator"))
+        client._number = 39
+        status = await client.stop(StopRequest(reason="mine"))
+        assert status.latch is not None
+        assert status.latch.code is FaultCode.OPERATOR_STOP

@@ -107,6 +107,24 @@ async def test_61_a_start_received_before_a_latch_does_not_survive_its_reset(tmp
         await assert_nothing_moves(bench, driver)
 
 
+async def test_48_a_start_that_arrives_while_the_control_process_ends_is_refused(tmp_path: Path) -> None:
+    async with ready_cell(tmp_path) as (bench, driver):
+        close = driver.close
+        answers: list[Message] = []
+
+        async def close_slowly() -> None:
+            async with asyncio.timeout(20):
+                answers.append(await bench.cell.start(StartRequest(recipe=RECIPE, seed=EASY)))
+            await close()
+
+        driver.close = close_slowly  # type: ignore[method-assign]
+        await bench.cell.close()
+        driver.close = close  # type: ignore[method-assign]
+        assert [reason_of(answer) for answer in answers] == [RefusalReason.STOPPED]
+        assert driver.said("engage") == driver.said("target") == []
+        assert_no_run_was_told(bench)
+
+
 async def test_61_a_start_that_another_control_process_was_asked_for_is_refused(tmp_path: Path) -> None:
     async with ready_cell(tmp_path) as (bench, driver):
         mark = bench.cell.mark.model_copy(update={"service_epoch": "another"})
