@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -12,6 +13,12 @@ from wire.tls import Access, Certificates
 
 UNREAD_S = 0.5
 """Time for which a query or an answer waits for a peer that does not read, s; then the link to that peer is closed."""
+
+RECEIVING_THREADS = 32
+"""Zenoh's threads that receive, two by default. A link to a frozen peer occupies one for some time when it ends, and
+while all are occupied no stop arrives."""
+
+os.environ.setdefault("ZENOH_RUNTIME", f"(rx: (worker_threads: {RECEIVING_THREADS}))")  # read at the first opening
 
 
 class QueryRefusedError(Exception):

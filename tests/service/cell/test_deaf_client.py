@@ -1,7 +1,9 @@
-"""A client that asks and does not read the answers holds up neither the control loop nor a stop."""
+"""A client that does not read what it is sent holds up neither the control loop nor a stop."""
 
 import asyncio
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Generator
@@ -14,11 +16,22 @@ from service.client import CellClient
 from service.messages import Run, RunsRequest, RunState, StopRequest
 from service.testing import RECIPE
 from tests.service.cell.raced_cell import ready_cell
+from tests.service.cell.test_process import configured, control_process
 from tests.service.sim_server import free_endpoint
 from wire.session import close_session, open_session, query
 
 CELL = "under-test"
 QUESTIONS = 400
+LINKS = 8
+LEASE_S = 10.0
+"""Silence after which Zenoh gives a peer up, s."""
+FROZEN = """
+import os, signal, sys
+from wire.session import open_session
+sessions = [open_session((), [sys.argv[1]]) for _ in range(int(sys.argv[2]))]
+listeners = [session.declare_subscriber("cell/**", lambda _: None) for session in sessions]
+os.kill(os.getpid(), signal.SIGSTOP)
+"""
 HELD_UP_S = 0.4
 """Longest time for which a loaded test machine may hold the loop up, s."""
 
@@ -94,3 +107,17 @@ async def test_23_a_client_that_does_not_read_its_answers_holds_neither_the_loop
     finally:
         await asyncio.to_thread(close_session, session)
     assert max(gaps) < HELD_UP_S
+
+
+async def test_46_the_end_of_links_to_a_frozen_client_holds_no_stop_up(tmp_path: Path) -> None:
+    path, endpoint = configured(tmp_path)
+    async with control_process(path, endpoint) as (_, client):
+        frozen = subprocess.Popen([sys.executable, "-c", FROZEN, endpoint, str(LINKS)])
+        try:
+            begun = time.monotonic()
+            while time.monotonic() - begun < LEASE_S + 6.0:
+                await client.stop(StopRequest(reason="beside a frozen client"), timeout_s=2.0)
+                await asyncio.sleep(0.1)
+        finally:
+            frozen.kill()
+            frozen.wait()
