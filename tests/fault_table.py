@@ -5,6 +5,7 @@ import re
 import tomllib
 from collections import defaultdict
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -49,6 +50,7 @@ def rows() -> list[Row]:
     return [Row(**row) for row in tomllib.loads(ROWS.read_text())["row"]]
 
 
+@cache
 def tests_by_row() -> dict[int, list[tuple[str, Path]]]:
     """The tests of each row, by name and file."""
     found: dict[int, list[tuple[str, Path]]] = defaultdict(list)
@@ -62,7 +64,9 @@ def tests_by_row() -> dict[int, list[tuple[str, Path]]]:
 def text() -> str:
     """The document."""
     found = tests_by_row()
-    lines = [f"| {row.number} | {row.inject} | {row.expected} | {_tests(row, found[row.number])} |" for row in rows()]
+    lines = [
+        f"| {row.number} | {row.inject} | {row.expected} | {_tests(row, found.get(row.number, []))} |" for row in rows()
+    ]
     return HEAD + "\n".join(lines) + "\n"
 
 

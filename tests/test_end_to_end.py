@@ -221,7 +221,7 @@ def test_an_api_that_dies_in_mid_run_ends_no_run_and_the_next_one_joins_and_stop
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
-def test_where_the_loss_of_the_client_is_to_stop_a_run_a_dead_or_frozen_api_stops_it(
+def test_46_where_the_loss_of_the_client_is_to_stop_a_run_a_dead_or_frozen_api_stops_it(
     config_path: Path, end: signal.Signals
 ) -> None:
     text = config_path.read_text().replace('policy = "continue"', 'policy = "stop"\nlimit_s = 0.5')

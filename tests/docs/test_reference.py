@@ -12,7 +12,7 @@ GENERATED = {"results.md", "models.md"}
 WRITTEN = [path for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))] if path.name not in GENERATED]
 FOLDERS = "api|benchmarks|cli|config|docs|models|service|sim_backend|tests|training|wire"
 FILE = re.compile(rf"`((?:{FOLDERS})/[a-z0-9_./-]*)`")
-INTERNAL = {"service.policy.onnx_file", "service.policy.window"}
+INTERNAL = {"service.policy.onnx_file", "service.policy.window", "service.policy.worker"}
 
 
 @pytest.mark.parametrize("package", ["service.safety", "service.policy", "training.environment"])

@@ -87,19 +87,21 @@ async def running(robot: Robot, config: Path) -> AsyncIterator[Stand]:
     await onlooker.connect()
     await onlooker.setup(["timestamp", "actual_qd", "actual_TCP_force", "runtime_state"], 500.0)
     await onlooker.start()
-    async with FaultProxy((HOST, robot.ports["rtde"]), HOST) as proxy:
-        text = config.read_text().replace(f"rtde_port = {robot.ports['rtde']}", f"rtde_port = {proxy.port}")
-        model = str(policies.still(config.parent))
-        config.write_text(re.sub(r'"[^"]*/vftm-dsl\.onnx"', f'"{model}"', text))
-        async with control_process(config) as (_, client):
-            await until(lambda: client.state in (CellState.READY, CellState.LATCHED))
-            run_id = (await client.start(StartRequest(recipe="triangle-2mm", seed=5))).run.id
-            while np.abs(readings[-1].qd).max() < 0.02:
-                run = await client.run(run_id)
-                assert run.state is RunState.ACTIVE, run
-            async with client.events() as events:
-                yield Stand(client, proxy, readings, events)
-    await onlooker.close()
+    try:
+        async with FaultProxy((HOST, robot.ports["rtde"]), HOST) as proxy:
+            text = config.read_text().replace(f"rtde_port = {robot.ports['rtde']}", f"rtde_port = {proxy.port}")
+            model = str(policies.still(config.parent))
+            config.write_text(re.sub(r'"[^"]*/vftm-dsl\.onnx"', f'"{model}"', text))
+            async with control_process(config) as (_, client):
+                await until(lambda: client.state in (CellState.READY, CellState.LATCHED))
+                run_id = (await client.start(StartRequest(recipe="triangle-2mm", seed=5))).run.id
+                while np.abs(readings[-1].qd).max() < 0.02:
+                    run = await client.run(run_id)
+                    assert run.state is RunState.ACTIVE, run
+                async with client.events() as events:
+                    yield Stand(client, proxy, readings, events)
+    finally:
+        await onlooker.close()
 
 
 async def test_16_a_link_that_is_reset_under_a_moving_arm_latches_and_the_program_ends_by_itself(
@@ -111,6 +113,33 @@ async def test_16_a_link_that_is_reset_under_a_moving_arm_latches_and_the_progra
         await stand.proxy.reset()
         assert (await stand.latched()).code is FaultCode.LINK
         await stand.assert_stopped_by_itself(since_s)
+
+
+async def test_16_after_a_link_that_was_reset_the_same_controller_carries_out_the_next_run(
+    robot: Robot, config: Path
+) -> None:
+    async with running(robot, config) as stand:
+        await stand.proxy.reset()
+        assert (await stand.latched()).code is FaultCode.LINK
+        await _reset(stand.client)
+        await until(lambda: stand.client.state is CellState.READY)
+        run_id = (await stand.client.start(StartRequest(recipe="triangle-2mm", seed=5))).run.id
+        await until(lambda: np.abs(stand.readings[-1].qd).max() > 0.1)
+        assert (await stand.client.run(run_id)).state is RunState.ACTIVE
+
+
+async def _reset(client: CellClient) -> None:
+    """Reset as soon as the arm is measured again."""
+    async with asyncio.timeout(30.0):
+        while True:
+            try:
+                await client.reset(ResetRequest())
+            except CellRefusedError as error:
+                if error.problem.reason not in (RefusalReason.NO_MEASUREMENT, RefusalReason.WRONG_STATE):
+                    raise
+                await asyncio.sleep(0.1)
+            else:
+                return
 
 
 async def test_17_a_link_that_swallows_everything_latches_stale_at_the_age_limit(robot: Robot, config: Path) -> None:
