@@ -13,17 +13,16 @@ import structlog
 
 from service.cell import report
 from service.cell.admission import Situation, why_not_start
+from service.cell.halting import Halting
 from service.cell.idle_arm import IdleArm
 from service.cell.inference import InferenceKind, InProcessPolicy
 from service.cell.intake import UNBELIEVED, Intake
 from service.cell.journal import Journal
 from service.cell.lateness import Lateness
-from service.cell.orders import Fail
 from service.cell.policy_process import PolicyProcess
 from service.cell.remarks import Remarks
 from service.cell.resetting import Resetting
 from service.cell.runs import Runs
-from service.cell.standstill import Standstill
 from service.cell.starting import Starting
 from service.cell.states import WITH_RUN, StateMachine
 from service.cell.tick_record import TickRecord
@@ -36,7 +35,6 @@ from service.messages import (
     EventKind,
     Refused,
     ResetRequest,
-    Run,
     RunResult,
     RunState,
     StartRequest,
@@ -45,14 +43,8 @@ from service.messages import (
     StopMark,
     StopRequest,
 )
-from service.safety.stop import StopState
 
-LINK_FAULTS = frozenset({FaultCode.STALE, FaultCode.LINK, FaultCode.SOURCE, FaultCode.PROTOCOL})
-"""Faults of the link to the arm: while nothing runs they mean OFFLINE and another attempt, not a latch."""
-DISBELIEVED = frozenset({FaultCode.SENSOR_INVALID, FaultCode.SENSOR_STUCK, FaultCode.BIAS})
-"""Faults after which the arm must not yield to its force/torque sensor while it stops."""
 JOURNAL_CLOSE_S = 0.5
-UNCONFIRMED = "no standstill was measured in time after the stop: use the robot's own emergency stop."
 TELEMETRY_TICKS = 10
 OVERRUN_S = 0.02
 """Lateness of one turn of the loop that counts as an overrun."""
@@ -102,14 +94,14 @@ class Cell:
             else InProcessPolicy.opener(inference)
         )
         self._intake = Intake(config.limits, driver.clock)
-        self._standstill = Standstill(driver, config.limits.stop_confirm_s)
+        self._states = StateMachine(CellState.OFFLINE if self.journal.latch is None else CellState.LATCHED)
+        self._halting = Halting(config.limits, driver, self.journal, self.runs, self._intake, self._states, self)
         self._idle_arm = IdleArm(config.limits.stop_confirm_s)
         self._starting = Starting(config, driver, opener, self.journal, self.runs, self._intake, self)
         self._resetting = Resetting(config.limits, driver, self.journal, self._intake, self)
-        self._states = StateMachine(CellState.OFFLINE if self.journal.latch is None else CellState.LATCHED)
         self._remarks = Remarks(lambda text: self.journal.tell(EventKind.WARNING, self.state, text), driver.clock)
         self._link_text = "not connected yet"
-        self._status_seq = self._stops = 0
+        self._status_seq = 0
         self._client_heard_at = 0.0
 
     @property
@@ -128,7 +120,7 @@ class Cell:
     @property
     def mark(self) -> StopMark:
         """Place in the order of stops. May be read on any thread."""
-        return StopMark(service_epoch=self.journal.epoch, stops=self._stops)
+        return StopMark(service_epoch=self.journal.epoch, stops=self._halting.stops)
 
     # --- from the driver
 
@@ -166,12 +158,12 @@ class Cell:
             self.halt(FaultCode.STALE, f"this process judged a sample {late_s * 1e3:.0f} ms after it had arrived")
         if self.state is CellState.CONNECTING:
             self.enter(CellState.READY)
-        if self._standstill.awaited:
-            self._conclude(self._standstill.on_sample(sample))
+        if self._halting.under_way:
+            self._halting.on_sample(sample)
         elif self.runs.active is not None:
             self.runs.active.on_sample(sample)
         else:
-            self._standstill.repeat_stop(sample)  # no run drives the arm
+            self._halting.repeat_stop(sample)  # no run drives the arm
             self._mind_idle_arm(sample)
         if self._intake.accepted % TELEMETRY_TICKS == 0:
             self._send_telemetry(sample)
@@ -181,7 +173,7 @@ class Cell:
         verdict = self._intake.judge_alone(sample)
         if verdict.fault is not None:
             self.halt(verdict.fault, verdict.text)
-        self._conclude(self._standstill.on_sample(sample))
+        self._halting.on_sample(sample)
 
     def _mind_idle_arm(self, sample: Sample) -> None:
         notice = self._idle_arm.observe(sample)
@@ -196,69 +188,18 @@ class Cell:
 
     def halt(self, code: FaultCode, text: str) -> None:
         """Stop at once and latch, if there is anything to stop. A later fault does not replace the first."""
-        state = self.state
-        if state in WITH_RUN or state is CellState.READY:
-            (self.driver.stop_blind if code in DISBELIEVED else self.driver.stop)()
-        elif state is CellState.STOPPING and code in DISBELIEVED:
-            self._standstill.disbelieve()
-        if state in WITH_RUN or (state is CellState.READY and code not in LINK_FAULTS):
-            self._begin_stop(code, text)
-        elif code in LINK_FAULTS:
-            self.lose_link(text)
-
-    def _begin_stop(self, code: FaultCode, text: str) -> None:
-        self._stops += 1
-        self._states.to(CellState.STOPPING)
-        self._standstill.begin(self.runs.witness, blind=code in DISBELIEVED)
-        state = RunState.ended_by(code)
-        run_id, peak_n = self.runs.active_id, self._intake.peak_force_n
-        # Before the run's end: a process that dies between the two writes must come back latched
-        self.journal.set_latch(code, text, run_id, None if run_id is None else peak_n)
-        run = self.runs.end(state, code, text, peak_n, self._intake.time_s)
-        self._tell_run(run)
-        self._tell_state()
-        self.journal.tell(EventKind.FAULT, self.state, text, code, run_id)
-        if code in LINK_FAULTS:
-            self.lose_link(text)
+        self._halting.halt(code, text)
 
     def disengage(self) -> None:
         """End a run in the ordinary way: stop the arm, and become READY once standstill is measured."""
-        self.driver.stop()
-        self._standstill.begin(self.runs.witness)
-
-    def _conclude(self, stop: StopState) -> None:
-        if stop is StopState.WAITING:
-            return
-        if self.state is CellState.STOPPING:
-            self._finish_stop(stop)
-        elif stop is StopState.UNCONFIRMED:
-            self.halt(FaultCode.STOP_UNCONFIRMED, UNCONFIRMED)
-        else:
-            self._standstill.end()
-            self._finish_run()
-
-    def _finish_stop(self, stop: StopState | None) -> None:
-        latch, peak_n = self.journal.latch, self._intake.peak_force_n
-        if latch is not None and latch.run_id is not None and peak_n > (latch.peak_force_n or 0.0):
-            latch = self.journal.set_latch(latch.code, latch.text, latch.run_id, peak_n)
-            self.runs.raise_peak(peak_n)
-        if stop is StopState.UNCONFIRMED and latch is not None:
-            code = FaultCode.STOP_UNCONFIRMED if self._intake.is_fresh else latch.code
-            text = f"{UNCONFIRMED} Stopped for {latch.code}: {latch.text}"
-            self.journal.set_latch(code, text, latch.run_id, latch.peak_force_n)
-            self.journal.tell(EventKind.FAULT, self.state, text, FaultCode.STOP_UNCONFIRMED, latch.run_id)
-        self._standstill.end()
-        self.enter(CellState.LATCHED)
+        self._halting.disengage()
 
     # --- deadlines
 
     def watch(self) -> None:
         """Check for deadlines and silence; `watch.keep_watch` calls this every few milliseconds of real time."""
         now = self.driver.clock()
-        if self._standstill.awaited:
-            if self.state is CellState.STOPPING:
-                self._standstill.stop()
-            self._conclude(self._standstill.on_silence(now))
+        self._halting.on_silence(now)
         if self._starting.preparing or (self.unlinked.is_set() and self.state not in WITH_RUN):
             return
         loss = self.config.client_loss
@@ -300,7 +241,7 @@ class Cell:
             self.enter(CellState.OFFLINE)
         elif self.state is CellState.STOPPING and self.driver.mode == "lockstep":
             # In lockstep no time passes without a link: nothing moves, and nothing more can be measured
-            self._finish_stop(None)
+            self._halting.finish()
 
     # --- requests
 
@@ -315,12 +256,7 @@ class Cell:
 
     def stop(self, request: StopRequest) -> StatusResult:
         """Stop whatever moves, in every state; latch if a run is under way. No start received before survives it."""
-        self.driver.stop()
-        self._stops += 1
-        if self.state in WITH_RUN:
-            by = f" by {request.requested_by}" if request.requested_by else ""
-            why = f": {request.reason}" if request.reason else ""
-            self._begin_stop(FaultCode.OPERATOR_STOP, f"stopped{by}{why}")
+        self._halting.stop(request)
         return StatusResult(status=self.status())
 
     async def reset(self, request: ResetRequest) -> StatusResult | Refused:
@@ -340,7 +276,7 @@ class Cell:
             seq=self._status_seq,
             time=self.journal.time_of_day(),
             clock_s=self.journal.clock(),
-            stops=self._stops,
+            stops=self._halting.stops,
             state=self.state,
             can_start=blocked is None,
             why_not=None if blocked is None else blocked.detail,
@@ -357,10 +293,7 @@ class Cell:
 
     async def close(self) -> None:
         """Stop, wait for standstill as long as a stop may take, and release everything."""
-        self._stops += 1
-        if self.state in WITH_RUN:
-            self.halt(FaultCode.INTERRUPTED, "the control process was told to end")
-        self.driver.stop()
+        self._halting.close()
         self._starting.cancel()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(self.config.limits.stop_confirm_s):
@@ -393,20 +326,21 @@ class Cell:
     def enter(self, state: CellState) -> None:
         """Change the state and tell it."""
         self._states.to(state)
-        self._tell_state()
+        self.journal.tell_state(state, self.runs.active_id)
 
     def enter_world(self, force_ceiling_n: float) -> None:
         """Expect samples of the prepared world, under this force ceiling."""
         self._intake.renew(force_ceiling_n)
         self._idle_arm.forget()
-        if self.state is CellState.STOPPING:
-            self._standstill.begin()
+        self._halting.enter_world()
 
     def end_run(self, state: RunState, code: FaultCode | None, text: str) -> None:
         """End the run under way without a latch and become READY."""
         self._states.to(CellState.READY)
-        self._tell_run(self.runs.end(state, code, text, self._intake.peak_force_n, self._intake.time_s))
-        self._tell_state()
+        run = self.runs.end(state, code, text, self._intake.peak_force_n, self._intake.time_s)
+        if run is not None:
+            self.journal.tell_run(run, self.state)
+        self.journal.tell_state(self.state, None)
 
     def on_tick(self, record: TickRecord) -> None:
         """Hand a policy step's record to the observers."""
@@ -420,21 +354,6 @@ class Cell:
             yield f"the state directory: {fault}"
         if (lost := log_fault()) is not None:
             yield lost
-
-    def _finish_run(self) -> None:
-        outcome = None if self.runs.active is None else self.runs.active.outcome
-        if isinstance(outcome, Fail):
-            self.end_run(RunState.FAILED, outcome.code, outcome.text)
-        else:
-            self.end_run(RunState.SUCCEEDED, None, "")
-
-    def _tell_run(self, run: Run | None) -> None:
-        if run is not None:
-            text = f"{run.state}: {run.text}" if run.text else run.state
-            self.journal.tell(EventKind.RUN, self.state, text, run.code, run.id)
-
-    def _tell_state(self) -> None:
-        self.journal.tell(EventKind.STATE, self.state, "", run_id=self.runs.active_id)
 
     def _send_telemetry(self, sample: Sample) -> None:
         insertion = None if self.runs.active is None else self.runs.active.insertion

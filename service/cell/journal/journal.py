@@ -159,6 +159,24 @@ class Journal:
         self._try(lambda: self._ledger.note(event))
         self.inform(lambda observer: observer.on_event(event))
 
+    def tell_state(self, state: CellState, run_id: str | None) -> None:
+        """Tell that the cell has become `state`.
+
+        Args:
+            state: of the cell.
+            run_id: of the run under way; None without one.
+        """
+        self.tell(EventKind.STATE, state, "", run_id=run_id)
+
+    def tell_run(self, run: Run, state: CellState) -> None:
+        """Tell how a run has ended.
+
+        Args:
+            run: as it ended.
+            state: of the cell.
+        """
+        self.tell(EventKind.RUN, state, f"{run.state}: {run.text}" if run.text else run.state, run.code, run.id)
+
     def inform(self, call: Callable[[Observer], None]) -> None:
         """Call every observer. One that fails is logged; neither the cell nor another observer suffers."""
         for observer in self.observers:
