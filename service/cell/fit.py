@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import inf
+from math import inf, sqrt
 from typing import Self
 
-from service.config import CellConfig, LimitsSection, RecipeSection
+from service.config import CellConfig, LimitsSection, PreflightSection, RecipeSection
 from service.policy.contract import PolicyContract
 from service.policy.observation import ENTRIES, Need
 from service.safety.contact_loop import PAYLOAD_KG, why_not_law
@@ -14,6 +14,8 @@ from wire.modes import LockMode
 
 EVERY_CELL_OFFERS = frozenset({Need.FORCE_TORQUE, Need.LAST_JOINT})
 """Contents of each driver's samples; the estimate of the hole depends on the configuration."""
+NOISE_DEVIATIONS = 5.0
+"""Standard deviations of the noise of a mean that no run reaches by chance."""
 
 _NAMES = {
     Need.FORCE_TORQUE: "a force/torque sensor",
@@ -36,6 +38,7 @@ class CellCapabilities:
         payload_kg: mass beyond the sensor.
         bears_n: momentary true force that the part bears, N; infinite if nobody says.
         approach_speed_m_s: speed of the scripted moves that the recipe asks for; None: one that the part bears.
+        noise_force_n: standard deviation of a force component with which a run may begin, N.
     """
 
     tick_s: float
@@ -47,6 +50,7 @@ class CellCapabilities:
     payload_kg: float = PAYLOAD_KG
     bears_n: float = inf
     approach_speed_m_s: float | None = None
+    noise_force_n: float = PreflightSection().noise_force_n
 
     @classmethod
     def of(cls, config: CellConfig, recipe: RecipeSection, tick_s: float) -> Self:
@@ -68,6 +72,7 @@ class CellCapabilities:
             payload_kg=PAYLOAD_KG if config.ur is None else config.ur.payload_kg,
             bears_n=recipe.bears_n(config.limits.force_ceiling_n),
             approach_speed_m_s=recipe.approach_speed_m_s,
+            noise_force_n=config.preflight.noise_force_n,
         )
 
 
@@ -81,6 +86,7 @@ def mismatches(contract: PolicyContract, cell: CellCapabilities) -> tuple[str, .
         *why_not_law(contract.compliance, cell.payload_kg),
         *_beyond_part(contract, cell),
         *_beyond_lock(contract, cell),
+        *_touched_by_nothing(contract, cell),
         *_without_camera(contract, cell),
     )
 
@@ -153,9 +159,10 @@ def _beyond_part(contract: PolicyContract, cell: CellCapabilities) -> Iterator[s
     law, limits = contract.compliance, cell.limits
     deepest = sum(entry.limit for entry in contract.action if entry.name == "dz")
     step_m = deepest if contract.dsl.mode == "off" else deepest + contract.dsl.seek_step_m
+    # A step of the search is taken at once: within its period the tip goes as fast as the law pulls it
     for what, speed, lead_m, axes in (
         ("approach_speed_m_s of the recipe", cell.approach_speed_m_s or 0.0, limits.max_step_m, (0, 1, 2)),
-        ("the search (dsl.seek_step_m and the action's dz)", step_m / contract.period_s, step_m, (2,)),
+        ("the search (dsl.seek_step_m and the action's dz)", limits.max_speed_m_s, step_m, (2,)),
     ):
         reached = reached_m_s(min(speed, limits.max_speed_m_s), min(lead_m, limits.max_step_m), law, axes)
         blow = blow_n(reached, max(law.inertia[:3]), limits.contact_n_m)
@@ -190,6 +197,21 @@ def _beyond_lock(contract: PolicyContract, cell: CellCapabilities) -> Iterator[s
     ):
         if want > limit:
             yield f"dsl.{name} is {want:g}, limits.{field} of the cell is {limit:g}"
+
+
+def _touched_by_nothing(contract: PolicyContract, cell: CellCapabilities) -> Iterator[str]:
+    """Yield why the lock may take noise, or the payload's own inertia, for the contact that proves a success."""
+    lock, law, limits = contract.dsl, contract.compliance, cell.limits
+    reached = reached_m_s(limits.max_speed_m_s, limits.max_step_m, law, (2,))
+    # The mean over a window cannot be more than the payload's momentum, turned round, over its length
+    inertia_n = 2.0 * cell.payload_kg * reached / (contract.wrench_window_ticks * contract.tick_s)
+    least = inertia_n + NOISE_DEVIATIONS * cell.noise_force_n / sqrt(contract.wrench_window_ticks)
+    threshold = lock.contact_threshold * lock.force_clip_n
+    if threshold < least:
+        yield (
+            f"dsl.contact_threshold of dsl.force_clip_n is {threshold:g} N: without a contact, noise and the tool's "
+            f"own inertia reach {least:.1f} N over wrench_window_ticks ({contract.wrench_window_ticks})"
+        )
 
 
 def _without_camera(contract: PolicyContract, cell: CellCapabilities) -> Iterator[str]:

@@ -206,6 +206,8 @@ class Insertion:
         if verdict.fault is FaultCode.BIAS and self._zeroings < ZEROING_TRIES:
             yield from self._zero(sample)
             return
+        if verdict.fault is None:
+            verdict = self._rest.judge_load()  # a load that grows while the sensor is zeroed is zeroed away
         yaw, tilt = yaw_and_tilt(sample.tcp_rotvec)
         if verdict.fault is None:
             verdict = preflight.check_start_pose(

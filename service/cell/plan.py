@@ -14,7 +14,7 @@ from service.safety.probe import ProbeParameters
 from service.safety.seating import CAMERA, NOMINAL, SeatingParameters
 from service.safety.witness import WitnessParameters
 from wire.arrays import FloatArray
-from wire.impact import fastest_m_s, reached_m_s
+from wire.impact import fastest_m_s, liveliness, reached_m_s
 from wire.law import ComplianceLaw, ControlLimits
 
 APPROACH_SPEED_M_S = 0.08
@@ -172,7 +172,7 @@ def approach_speed_m_s(recipe: RecipeSection, limits: LimitsSection, law: Compli
         return recipe.approach_speed_m_s
     usual = min(APPROACH_SPEED_M_S, limits.max_speed_m_s)
     fastest = fastest_m_s(recipe.bears_n(limits.force_ceiling_n), max(law.inertia[:3]), limits.contact_n_m)
-    return usual if reached_m_s(usual, limits.max_step_m, law) <= fastest else min(usual, fastest)
+    return usual if reached_m_s(usual, limits.max_step_m, law) <= fastest else min(usual, fastest / liveliness(law))
 
 
 def plan_monitor(limits: LimitsSection, force_ceiling_n: float) -> MonitorParameters:

@@ -14,6 +14,9 @@ from service.faults import FaultCode
 from service.safety.verdict import PASSED, Verdict
 from wire.arrays import FloatArray
 
+FELT_STUCK_SAMPLES = 25
+"""Samples in a row, bit-identical in what the joints feel, at which they are no witness. Their noise never rests."""
+
 
 @dataclass(frozen=True, slots=True)
 class WitnessParameters:
@@ -53,13 +56,15 @@ class Witness:
         offset: (3,) what the joints feel more than the sensor while the arm rests with a free tool, N, base frame.
     """
 
-    __slots__ = ("_limit", "_mean", "_offset", "_share")
+    __slots__ = ("_equal", "_felt", "_limit", "_mean", "_offset", "_share")
 
     def __init__(self, parameters: WitnessParameters, tick_s: float, offset: FloatArray) -> None:
         self._limit = parameters.force_n
         self._share = tick_s / (tick_s + parameters.time_s)
         self._offset: tuple[float, float, float] = tuple(offset.tolist())
         self._mean = (0.0, 0.0, 0.0)
+        self._felt: list[float] = []
+        self._equal = 0
 
     def check(self, wrench: FloatArray, joint_force: FloatArray | None) -> Verdict:
         """Judge one sample.
@@ -69,11 +74,21 @@ class Witness:
             joint_force: (3,) force that the joints feel, N, base frame; None if it is missing.
 
         Returns:
-            SENSOR_INVALID, or passed.
+            SENSOR_INVALID, SENSOR_STUCK where the joints' force does not change by a bit, or passed.
         """
         if joint_force is None:
             return Verdict(FaultCode.SENSOR_INVALID, text="the force that the joints feel is missing from a sample")
         sensed, felt = wrench.tolist()[:3], joint_force.tolist()
+        self._equal = self._equal + 1 if felt == self._felt else 1
+        self._felt = felt
+        if self._equal >= FELT_STUCK_SAMPLES:
+            return Verdict(
+                FaultCode.SENSOR_STUCK,
+                self._equal,
+                FELT_STUCK_SAMPLES,
+                f"the force that the joints feel is bit-identical in {self._equal} samples in a row, limit "
+                f"{FELT_STUCK_SAMPLES}: nothing checks the force/torque sensor",
+            )
         share = self._share
         x, y, z = (
             mean + share * (f - o - s - mean)

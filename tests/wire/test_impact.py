@@ -1,10 +1,11 @@
 """The bound of an unexpected touch is a sum of three momenta, each in proportion to the speed."""
 
+from dataclasses import replace
 from math import sqrt
 
 import pytest
 
-from wire.impact import ARM_KG, ARM_N_M, BLIND_S, blow_n, fastest_m_s, peak_n, reached_m_s
+from wire.impact import ARM_KG, ARM_N_M, BLIND_S, blow_n, fastest_m_s, liveliness, peak_n, reached_m_s
 from wire.law import ComplianceLaw
 
 LAW = ComplianceLaw((2500.0,) * 2 + (3000.0,) + (5.0,) * 3, (380.0,) * 2 + (650.0,) + (1.0,) * 3, (2.5,) * 6)
@@ -33,3 +34,11 @@ def test_a_slow_push_goes_beyond_the_ceiling_only_by_what_the_sensor_is_late() -
 def test_an_arm_on_a_leash_is_no_faster_than_its_law_pulls() -> None:
     assert reached_m_s(0.02, 0.012, LAW) == 0.02
     assert reached_m_s(0.25, 0.012, LAW) == pytest.approx(2500.0 * 0.012 / 380.0)
+
+
+def test_a_law_that_is_damped_less_than_critically_counts_as_faster_than_its_target() -> None:
+    assert liveliness(LAW) == 1.0
+    lively = replace(LAW, damping=(2.0 * 0.5 * sqrt(2500.0 * 2.5), *LAW.damping[1:]))
+    assert liveliness(lively) == pytest.approx(1.36)
+    assert liveliness(lively, (2,)) == 1.0
+    assert reached_m_s(0.02, 0.012, lively) == pytest.approx(1.36 * 0.02)

@@ -12,7 +12,9 @@ from service.policy.contract import ObservationEntry
 from service.policy.model import Policy
 from service.policy.observation import Need
 from service.safety.contact_loop import why_not_law
+from service.safety.dsl import DslParameters
 from tests.service.policy.model_files import contract
+from wire.law import ComplianceLaw
 from wire.limits import FORCE_CEILING_N, WORKSPACE_M
 
 ROOT = Path(__file__).parents[3]
@@ -67,6 +69,23 @@ def test_a_touch_that_the_part_does_not_bear_is_named_for_approach_and_search() 
     assert "the part bears 1 N" in search
     (approach,) = mismatches(contract(), replace(CELL, bears_n=10.0, approach_speed_m_s=0.1))
     assert approach.startswith("approach_speed_m_s of the recipe reaches 0.024 m/s: a touch gives up to 14 N")
+
+
+def test_a_search_is_as_fast_as_its_law_pulls_within_a_step_however_long_the_step_lasts() -> None:
+    """The world measured 0.047 m/s and 36 N, where a step over its period is 0.023 m/s."""
+    quick = ComplianceLaw((2500.0,) * 2 + (3000.0,) + (5.0,) * 3, (380.0,) * 2 + (200.0,) + (1.0,) * 3, (10.0,) * 6)
+    slow = contract(ticks_per_step=140, compliance=quick, dsl=DslParameters(seek_step_m=5e-3))
+    found = "; ".join(mismatches(slow, replace(CELL, bears_n=20.0)))
+    assert "the search (dsl.seek_step_m and the action's dz) reaches 0.1" in found
+
+
+def test_62_a_lock_that_takes_noise_or_inertia_for_a_contact_is_refused() -> None:
+    """With 1 N over three samples the noise in free air made a contact, and with a wrong camera a success."""
+    hair = contract(dsl=DslParameters(contact_threshold=0.1))
+    assert "dsl.contact_threshold of dsl.force_clip_n is 1 N: without a contact" in "; ".join(mismatches(hair, CELL))
+    brief = contract(wrench_window_ticks=3)
+    assert "over wrench_window_ticks (3)" in "; ".join(mismatches(brief, CELL))
+    assert "own inertia reach" in "; ".join(mismatches(contract(), replace(CELL, payload_kg=10.0)))
 
 
 def test_a_heavy_payload_makes_a_light_law_swing() -> None:

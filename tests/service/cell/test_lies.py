@@ -5,7 +5,7 @@ Bounds of the true force stand in `docs/explanation/sensor-lies.md`.
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from service.testing import Bench
 from service.testing.lying_sensor import LIES, LyingSensor
 from sim_backend.world.world import World
 from tests.service.cell import policies
-from tests.service.cell.conftest import EASY, Arm
+from tests.service.cell.conftest import EASY, Arm, FaultyCell
 from tests.service.cell.faulty_driver import speed
 from wire.limits import FORCE_CEILING_N
 
@@ -158,6 +158,59 @@ async def test_08_a_sensor_that_drifts_fast_is_found_by_the_joints_in_free_air(a
         assert (run.state, run.code) == (RunState.LATCHED, FaultCode.SENSOR_INVALID)
         assert cell.sensor.peak_n < FORCE_CEILING_N
         await assert_stands(cell)
+
+
+async def test_67_a_low_gain_and_joints_that_are_stuck_do_not_agree_unnoticed(
+    faulty_cell: FaultyCell, tmp_path: Path
+) -> None:
+    async with faulty_cell(policies.still(tmp_path)) as faulty:
+        stuck: list[np.ndarray] = []
+
+        def spoil(sample: Sample) -> list[Sample]:
+            if faulty.bench.cell.state is CellState.RUNNING:
+                assert sample.joint_force is not None
+                stuck.append(sample.joint_force)
+                sample = replace(sample, wrench=0.2 * sample.wrench, joint_force=stuck[0])
+            return [sample]
+
+        faulty.driver.spoil = spoil
+        run = await faulty.bench.insert(BESIDE)
+        assert (run.state, run.code) == (RunState.LATCHED, FaultCode.SENSOR_STUCK)
+        assert "that the joints feel is bit-identical" in run.text
+
+
+async def test_09_a_load_that_grows_while_the_sensor_is_zeroed_is_not_zeroed_away(
+    faulty_cell: FaultyCell, tmp_path: Path
+) -> None:
+    """Something leans on the tool: each zeroing hides another 2 N of it."""
+    async with faulty_cell(policies.still(tmp_path)) as faulty:
+        load_n = zero_n = 0.0
+        begun_s: float | None = None
+        zero_ft = faulty.driver.zero_ft
+
+        def zero() -> None:
+            nonlocal zero_n
+            zero_n = load_n
+            zero_ft()
+
+        def spoil(sample: Sample) -> list[Sample]:
+            nonlocal load_n, begun_s
+            if faulty.bench.cell.state is CellState.PREFLIGHT:
+                begun_s = sample.time_s if begun_s is None else begun_s
+                load_n = float(np.clip(12.0 * (sample.time_s - begun_s - 0.2), 0.0, 20.0))
+            wrench, unzeroed = sample.wrench.copy(), sample.unzeroed.copy()
+            wrench[2] += load_n - zero_n
+            unzeroed[2] += load_n
+            assert sample.joint_force is not None
+            felt = sample.joint_force + np.array([0.0, 0.0, load_n])
+            return [replace(sample, wrench=wrench, unzeroed=unzeroed, joint_force=felt)]
+
+        faulty.driver.zero_ft = zero  # type: ignore[method-assign]
+        faulty.driver.spoil = spoil
+        run = await faulty.bench.insert(BESIDE)
+        assert len(faulty.driver.said("zero_ft")) > 3, "it was zeroed again and again"
+        assert (run.state, run.code) == (RunState.FAILED, FaultCode.CONTACT_AT_START)
+        assert faulty.driver.said("engage") == []
 
 
 async def test_10_a_payload_of_twice_the_weight_is_refused_by_the_joints_before_any_motion(

@@ -14,10 +14,10 @@ OFFSET = np.array([1.0, -2.0, 0.5])
 
 
 def judge(sensed: FloatArray, felt: FloatArray, ticks: int = 100, limits: WitnessParameters = LIMITS) -> list[Verdict]:
-    """Judge constant forces (3,), N, for `ticks` samples."""
+    """Judge constant forces (3,), N, for `ticks` samples, in which the joints are not quite still."""
     witness = Witness(limits, TICK_S, OFFSET)
     wrench = np.array([*sensed, 0.0, 0.0, 0.0])
-    return [witness.check(wrench, np.asarray(felt) + OFFSET) for _ in range(ticks)]
+    return [witness.check(wrench, np.asarray(felt) + OFFSET + 1e-6 * (tick % 2)) for tick in range(ticks)]
 
 
 def test_a_sensor_and_joints_that_agree_within_the_joints_own_error_pass() -> None:
@@ -53,6 +53,17 @@ def test_a_step_is_found_within_its_time_constant_and_a_spike_is_not() -> None:
 @pytest.mark.parametrize("felt", [None, np.array([0.0, np.nan, 0.0]), np.array([np.inf, 0.0, 0.0])])
 def test_joints_that_say_nothing_are_no_witness(felt: FloatArray | None) -> None:
     assert Witness(LIMITS, TICK_S, OFFSET).check(np.zeros(6), felt).fault is FaultCode.SENSOR_INVALID
+
+
+def test_64_joints_that_do_not_change_by_a_bit_are_no_witness() -> None:
+    witness = Witness(LIMITS, TICK_S, np.zeros(3))
+    noise = np.random.default_rng(1).normal(0.0, 0.1, (100, 6))
+    found = [witness.check(wrench, np.array([1.0, 0.0, 0.0])) for wrench in noise]
+    assert [verdict.fault for verdict in found[:24]] == [None] * 24
+    assert found[24].fault is FaultCode.SENSOR_STUCK
+    assert found[24].measured == found[24].limit == 25
+    assert "nothing checks the force/torque sensor" in found[24].text
+    assert witness.check(noise[0], np.array([1.0, 1e-9, 0.0])).fault is None, "one bit is a sign of life"
 
 
 def test_10_a_payload_that_weighs_more_than_the_configured_one_is_refused_with_the_residual_in_newtons() -> None:

@@ -25,6 +25,15 @@ def vertically(damping: float, inertia: float) -> ComplianceLaw:
     return replace(LAW, damping=(380.0, 380.0, damping, 1.0, 1.0, 0.5), inertia=(2.5, 2.5, inertia, 0.06, 0.06, 0.03))
 
 
+def isotropic(stiffness: float, damping: float, inertia: float) -> ComplianceLaw:
+    return replace(
+        LAW,
+        stiffness=(stiffness,) * 3 + LAW.stiffness[3:],
+        damping=(damping,) * 3 + LAW.damping[3:],
+        inertia=(inertia,) * 3 + LAW.inertia[3:],
+    )
+
+
 @pytest.mark.timeout(300)
 def test_68_laws_just_inside_the_limit_stay_calm_on_stiff_contacts_and_laws_outside_swing() -> None:
     inside = [vertically(300.0, 2.5), vertically(650.0, 0.5), vertically(200.0, 10.0), LAW]
@@ -49,6 +58,16 @@ def test_the_true_force_of_a_touch_stays_within_its_bound() -> None:
         bound = peak_n(reached_m_s(speed, LEASH_M, law), law.inertia[2], contact_n_m, FORCE_CEILING_N)
         assert 0.9 * bound < peak <= bound, "the bound holds, and is no wider than it must be"
         assert peak > FORCE_CEILING_N, "a ceiling alone bounds no blow"
+
+
+@pytest.mark.timeout(300)
+def test_a_lightly_damped_law_strikes_within_the_bound_too() -> None:
+    laws = [isotropic(*numbers) for numbers in ((1500.0, 70.2, 5.0), (1200.0, 108.0, 5.0), (2500.0, 224.0, 5.0))]
+    assert not [reason for law in laws for reason in why_not_law(law)], "all are admitted"
+    peaks = touch([Touch(law, 0.09, "standard", 4) for law in laws], "face", 0.02, FORCE_CEILING_N, settle_s=0.3).peak_n
+    bounds = [peak_n(reached_m_s(0.09, LEASH_M, law), 5.0, CONTACT_N_M, FORCE_CEILING_N) for law in laws]
+    assert (peaks <= bounds).all(), (peaks, bounds)
+    assert (peaks > peak_n(0.09, 5.0, CONTACT_N_M, FORCE_CEILING_N)).any(), "the speed of the target alone is no bound"
 
 
 def test_the_followers_are_those_of_the_simulated_arm() -> None:
