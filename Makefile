@@ -96,10 +96,11 @@ coverage: $(DEV) ## every branch of the safety core is exercised by its own test
 	$(BIN)/python -m coverage run --source service.safety --data-file .coverage-safety -m pytest -q tests/service/safety
 	$(BIN)/python -m coverage report --data-file .coverage-safety --fail-under 100
 
-nightly: $(DEV) ## 10,000 simulated universes, the state machine at length, every fault put back, mutation testing (hours)
+nightly: $(DEV) ## 10,000 simulated universes, the state machine at length, every fault put back, mutation testing, coverage (hours)
 	$(BIN)/python -m tests.simulation --seeds 10000
 	$(BIN)/python -m pytest -m nightly tests/simulation
 	$(BIN)/python -m tests.mutation
+	$(MAKE) test-covered
 
 lint: $(DEV) ## ruff, import directions, pyright
 	$(BIN)/ruff check .

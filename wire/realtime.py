@@ -4,11 +4,14 @@ import contextlib
 import ctypes
 import gc
 import os
+import resource
 import sys
 import threading
 
 PRIORITY = 40
 """Priority under SCHED_FIFO: below the kernel's own threads (50), equal for control process and simulator."""
+POLICY_PRIORITY = 20
+"""Priority of a policy's process: below the loop that waits for its answer, above all ordinary programs."""
 SWITCH_INTERVAL_S = 5e-4
 """Longest time for which one Python thread may hold up another, s; Python's default is 5 ms."""
 _MCL_CURRENT_AND_FUTURE = 3
@@ -43,6 +46,19 @@ def request_realtime() -> tuple[str, ...]:
             ", or grant CAP_IPC_LOCK to the process"
         )
     return tuple(refused)
+
+
+def request_prompt_answers(limit_s: float) -> None:
+    """Ask for real-time scheduling of this thread below `PRIORITY`. A refusal changes nothing.
+
+    Args:
+        limit_s: processor time without a pause after which the kernel kills the process, so that a computation without
+            an end takes no core from the rest of the host, s.
+    """
+    limit_us = round(limit_s * 1e6)
+    resource.setrlimit(resource.RLIMIT_RTTIME, (limit_us, limit_us))
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(POLICY_PRIORITY))
 
 
 def has_realtime_scheduling() -> bool:

@@ -23,14 +23,17 @@ import numpy as np
 from service.policy.model import Policy, PolicyError, PolicyFault
 from service.program import bound_to
 from wire.arrays import Float32Array
+from wire.realtime import request_prompt_answers
 
 HEAD = struct.Struct("<BI")
 """Head of a frame: its kind, and the length of its payload in bytes."""
 PAYLOAD_LIMIT_BYTES = 2**20
 NICENESS = 1
-"""Distance from an ordinary process's priority: below the control loop, and not so far that deadlines are missed."""
+"""Distance from an ordinary process's priority while it loads, and where the host grants no real-time scheduling."""
 MEMORY_LIMIT_BYTES = 2**30
 """Address space of a worker. Python, numpy and ONNX Runtime take about a quarter of it, a model's file 16 MiB."""
+LONGEST_INFERENCE_S = 2.0
+"""Processor time of one inference after which the kernel kills the process; no deadline of a cell is as long, s."""
 REHEARSALS = 9
 """Inferences at zero that are timed after loading; the median is reported."""
 
@@ -97,6 +100,7 @@ def serve(connection: socket.socket, path: Path, sha256: str | None) -> None:
         text = f"{path} needs more than {MEMORY_LIMIT_BYTES >> 20} MiB"
         connection.sendall(_refusal(PolicyError(PolicyFault.TOO_LARGE, text)))
         return
+    request_prompt_answers(LONGEST_INFERENCE_S)
     connection.sendall(encode(Kind.LOADED, json.dumps(loaded).encode()))
     hidden = policy.initial_hidden()
     received = bytearray()

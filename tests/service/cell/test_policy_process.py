@@ -32,6 +32,7 @@ from tests.service.cell.faulty_driver import FaultyDriver
 from tests.service.cell.test_process import LIMITS, configured, control_process, started, until
 from tests.service.policy.model_files import HANGS
 from tests.service.sim_server import sim_process
+from wire import realtime
 from wire.records import TICK_S
 
 END_S = 2.0
@@ -229,6 +230,21 @@ def test_72_a_model_that_hangs_at_load_is_refused_and_its_process_is_gone(
             with pytest.raises(PolicyRefusedError, match=r"TOO_SLOW: .*was not loaded and tried within 2 s"):
                 shelf.admit(RECIPE)
         assert workers_of(os.getpid()) == []
+
+
+async def test_72_an_inference_without_an_end_takes_no_core_from_the_host_though_nobody_kills_it(
+    tmp_path: Path,
+) -> None:
+    policy = policies.hanging(tmp_path, "first")
+    with closing(PolicyProcess(policy, step_limit_s=1.0)) as worker:
+        observation = np.ones(worker.loaded()[1].observation_size, np.float32)
+        if os.sched_getscheduler(worker.pid) != os.SCHED_FIFO:
+            pytest.skip("this host grants no real-time scheduling")
+        assert os.sched_getparam(worker.pid).sched_priority < realtime.PRIORITY, "the loop comes first"
+        failures: list[Exception] = []
+        worker.infer(lambda action: None, failures.append).ask(observation)
+        await until(lambda: failures)
+        assert "has ended" in str(failures[0])
 
 
 def test_a_policy_slower_than_its_deadline_is_refused(tmp_path: Path) -> None:
