@@ -114,7 +114,7 @@ def test_an_operator_moves_the_gripper(config: Path) -> None:
 def test_an_operator_checks_switches_off_and_on_again(config: Path) -> None:
     checked = service("ur", "check", "--config", str(config))
     assert checked.returncode == 0, checked.stdout + checked.stderr
-    assert checked.stdout.count("passed") == 11
+    assert checked.stdout.count("passed") == 12
     assert service("ur", "power-off", "--config", str(config)).returncode == 0
     checked = service("ur", "check", "--config", str(config))
     assert checked.returncode == 1
