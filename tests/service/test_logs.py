@@ -18,7 +18,7 @@ import structlog
 from service.faults import FaultCode
 from service.logs import CAPACITY, LINE_LIMIT, LogWriter, QueuedHandler, configure_logs
 from service.messages import CellState, StartRequest, StopRequest
-from service.stopping import confirm, is_standing
+from service.stopping import confirm
 from tests.service.cell.conftest import EASY
 from tests.service.cell.test_process import configured, control_process, until
 from tests.service.drivers.ur.emulated import emulated
@@ -129,8 +129,9 @@ async def test_76_a_control_process_without_a_log_stops_and_ends_as_ever(tmp_pat
         async with control_process(path, endpoint, **streams) as (process, client):
             await client.start(StartRequest(recipe="triangle-2mm", seed=EASY))
             await until(lambda: client.state is CellState.RUNNING)
-            status = await confirm(client, await client.stop(StopRequest()))
-            assert is_standing(status)
+            stopped = await confirm(client, await client.stop(StopRequest()))
+            assert stopped.confirmed
+            status = stopped.status
             assert status.latch is not None
             assert status.latch.code is FaultCode.OPERATOR_STOP
             assert any(line.startswith("the log: ") for line in status.degradations), status.degradations
