@@ -12,7 +12,8 @@ from api.history import HistoryError, RunHistory
 from api.receipt import Receipt
 from service.client import SILENCE_S, CellClient, CellError, CellRefusedError
 from service.faults import FaultCode
-from service.messages import CellState, Event, EventKind, Run, RunsRequest, RunState, Status, StopMark
+from service.marks import FirstMarks
+from service.messages import CellState, Event, EventKind, Run, RunsRequest, RunState, Status
 
 _log = structlog.get_logger("api.cell")
 
@@ -23,8 +24,6 @@ FROZEN_S = 0.2
 """Lateness of the event loop at which requests may have waited unread, s."""
 DOUBT_S = 0.2
 """Time after such a freeze in which they are read, s."""
-KEYS_HEARD = 1024
-"""Idempotency keys whose first mark is remembered."""
 UNKNOWN_TEXT = "the cell's ledger does not have this run any more: how it ended is not known"
 
 
@@ -39,6 +38,7 @@ class FollowedCell:
 
     Attributes:
         feed: events of the cell.
+        first_marks: of the starts that this server was asked for.
         failure: why events and history are not followed any more; None while they are.
         stops_asked: stops that this server was asked for, delivered or not.
     """
@@ -54,13 +54,13 @@ class FollowedCell:
         self.stopper = stopper
         self.history = history
         self.feed = EventFeed()
+        self.first_marks = FirstMarks()
         history.on_renewed = lambda: self._reconcile.set()
         self.failure: str | None = None
         self.stops_asked = 0
         self._clock = clock
         self._turned_at, self._turned_mark = clock(), client.mark
         self._doubted_until, self._doubted_mark = clock(), client.mark
-        self._first_marks: dict[str, StopMark | None] = {}
         self._last_state = CellState.UNKNOWN
         self._reconcile = asyncio.Event()
 
@@ -99,20 +99,6 @@ class FollowedCell:
         else:
             mark = self.client.mark
         return Receipt(mark, self.stops_asked)
-
-    def first_mark(self, key: str | None, mark: StopMark | None) -> StopMark | None:
-        """Return the mark of the first start under an idempotency key: a repeated start is as old as that one.
-
-        Args:
-            key: of the start.
-            mark: of this request.
-        """
-        if key is None:
-            return mark
-        first = self._first_marks.setdefault(key, mark)
-        if len(self._first_marks) > KEYS_HEARD:
-            del self._first_marks[next(iter(self._first_marks))]
-        return first or mark
 
     async def wait_alive(self, timeout_s: float) -> bool:
         """Wait up to `timeout_s` for a heartbeat; return whether one arrived."""

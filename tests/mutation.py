@@ -57,7 +57,7 @@ EXPLAINED = (
     ),
     Rule(
         "the first sample sets it, whatever it was",
-        r"self\._(episode|seq|wrench_bytes|standing|repeats) = .*→",
+        r"self\._(episode|seq|standing|repeats) = .*→",
         "reset",
     ),
     Rule("a stop is repeated in every period, whatever its phase", r"STOP_AGAIN_TICKS == 1"),

@@ -26,7 +26,7 @@ BLIND_S = (SENSOR_DELAY_TICKS[1] + 2) * TICK_S
 CONTACT_N_M = 27e3
 """Stiffness of the simulated world's nominal contact, N/m: the arm's mass over the square of 12 ms."""
 CALM_RATIO = 1.3
-"""Damping ratio in free air, d / (2 √(K M)), from which a law strikes within the bound of its target's speed."""
+"""Damping ratio in free air from which a law strikes within the bound of its target's speed."""
 LIVELY_SHARE = 0.45
 """Harder blow of a law below that ratio, as a share for each unit of ratio: it outruns its target and pushes on behind
 its own blow. Measured: at most 1.37 times the bound at a ratio of 0.4, 1.07 times at 1.0."""
@@ -56,9 +56,14 @@ def peak_n(speed_m_s: float, inertia_kg: float, contact_n_m: float, ceiling_n: f
     return max(blow_n(speed_m_s, inertia_kg, contact_n_m), ceiling_n + speed_m_s * _series(contact_n_m) * BLIND_S)
 
 
+def free_damping_ratio(stiffness: float, damping: float, inertia: float) -> float:
+    """Return the damping ratio of one axis of a law without contact: d / (2 √(k m))."""
+    return damping / (2.0 * sqrt(stiffness * inertia))
+
+
 def liveliness(law: ComplianceLaw, axes: Sequence[int] = (0, 1, 2)) -> float:
     """Return how much harder than the bound of its target's speed a lightly damped law may strike; 1 for a calm one."""
-    ratio = min(law.damping[axis] / (2.0 * sqrt(law.stiffness[axis] * law.inertia[axis])) for axis in axes)
+    ratio = min(free_damping_ratio(law.stiffness[axis], law.damping[axis], law.inertia[axis]) for axis in axes)
     return 1.0 + LIVELY_SHARE * max(0.0, CALM_RATIO - ratio)
 
 

@@ -59,7 +59,7 @@ async def start(
     The run continues on its own: follow it with `GET /runs/{id}`, `GET /status` or `GET /events`.
     """
     receipt: Receipt = request.state.receipt
-    after = runtime.cell.first_mark(idempotency_key, receipt.mark)
+    after = runtime.cell.first_marks.of(idempotency_key, receipt.mark)
     if runtime.cell.is_silent:
         raise ProblemError(503, "CELL_SILENT", runtime.status().why_not or SILENT_TEXT, state=CellState.UNKNOWN)
     try:

@@ -44,7 +44,8 @@ class Halting:
         host: the cell.
 
     Attributes:
-        stops: stop commands, latching faults and ends of the process so far. No start received before one survives it.
+        stops: count that every stop command, latching fault and end of the process advances, by one or two. No start
+            received before it advances survives.
     """
 
     def __init__(

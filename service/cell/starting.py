@@ -16,6 +16,7 @@ from service.cell.runs import ActiveRun, RunHost, Runs
 from service.config import CellConfig, RecipeSection, why_edited
 from service.drivers.base import Driver, DriverError
 from service.faults import FaultCode
+from service.marks import FirstMarks
 from service.messages import (
     CellState,
     EventKind,
@@ -25,12 +26,8 @@ from service.messages import (
     RunResult,
     RunState,
     StartRequest,
-    StopMark,
 )
 from wire.task import Part, Task
-
-KEYS_HEARD = 1024
-"""Idempotency keys whose first mark is remembered."""
 
 _log = structlog.get_logger("service.cell")
 
@@ -85,7 +82,7 @@ class Starting:
         self._policies = PolicyShelf(config, driver.tick_s, opener)
         self._deciding: asyncio.Task[RunResult | Refused] | None = None
         self._deciding_key: str | None = None
-        self._heard: dict[str, StopMark | None] = {}
+        self._first_marks = FirstMarks()
         self._preparation: asyncio.Task[None] | None = None
         self._cancelled = False
         self.preparing = False
@@ -109,7 +106,7 @@ class Starting:
         if self._deciding is not None and key is not None and key == self._deciding_key:
             answer = await asyncio.shield(self._deciding)
             return answer if isinstance(answer, Refused) else RunResult(run=answer.run, created=False)
-        request = self._as_first_heard(request)
+        request = request.model_copy(update={"after": self._first_marks.of(key, request.after)})
         if (refusal := self._why_not(request, self._host.situation())) is not None:
             return refusal
         self._deciding_key = key
@@ -172,15 +169,6 @@ class Starting:
         self._host.enter(CellState.PREFLIGHT)
         self._journal.tell(EventKind.RUN, self._host.state, f"accepted, {run.recipe}", run_id=run.id)
         self._preparation = asyncio.create_task(self._prepare(active, policy), name=f"prepare {run.id}")
-
-    def _as_first_heard(self, request: StartRequest) -> StartRequest:
-        """Return a request with the mark of the first one under its key: a repeated start is as old as the first."""
-        if (key := request.idempotency_key) is None:
-            return request
-        first = self._heard.setdefault(key, request.after)
-        if len(self._heard) > KEYS_HEARD:
-            del self._heard[next(iter(self._heard))]
-        return request.model_copy(update={"after": first})
 
     def _why_not_now(self, request: StartRequest) -> Refused | None:
         """Return why the start that is being decided cannot be accepted at this moment; None where it can."""

@@ -16,7 +16,7 @@ from math import sqrt
 import numpy as np
 
 from wire.arrays import FloatArray
-from wire.impact import ARM_KG, ARM_N_M
+from wire.impact import ARM_KG, ARM_N_M, free_damping_ratio
 from wire.law import ComplianceLaw
 from wire.records import TICK_S
 from wire.task import SENSOR_DELAY_TICKS
@@ -77,11 +77,6 @@ class Swing:
     frequency_hz: float
     contact: float
     delay_s: float
-
-
-def free_damping_ratio(stiffness: float, damping: float, inertia: float) -> float:
-    """Return the damping ratio of one axis of a law without contact: d / (2 √(k m))."""
-    return damping / (2.0 * sqrt(stiffness * inertia))
 
 
 @lru_cache(maxsize=64)

@@ -30,7 +30,7 @@ class Disk:
 
     @property
     def faulty(self) -> bool:
-        """Whether it takes or has lately taken no writes."""
+        """True while the disk is full or slow, and for one second after it hung."""
         return self.full or self.latency_s[1] > 0.02 or self.hangs_until > clock.here().process.loop.time() - 1.0
 
     def fsync(self, descriptor: int) -> None:

@@ -166,7 +166,7 @@ class Judge:
         self._judge_told(recorded)
 
     def is_told(self, listed: Answer) -> bool:
-        """Whether the history has caught up with the ledger."""
+        """Return True once the history lists every run of the ledger in the ledger's state."""
         recorded = {run["id"]: run["state"] for run in ledger_runs(self.universe).values()}
         return listed.status == 200 and {run["id"]: run["state"] for run in listed.document["runs"]} == recorded
 

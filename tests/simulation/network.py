@@ -1,7 +1,6 @@
 """A simulated Zenoh: the sessions that the code uses, on links that delay, drop, repeat, reorder and stall messages."""
 
 import random
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -11,6 +10,7 @@ import zenoh
 
 from tests.simulation import clock
 from tests.simulation.clock import Place, Process, VirtualLoop
+from tests.simulation.threads import SimpleQueue
 
 
 class Payload:
@@ -132,24 +132,14 @@ class Network:
         return [other for other in self.sessions if other is not session and other.endpoints & session.endpoints]
 
 
-class Channel:
+class Channel(SimpleQueue):
     """Stands in for the receiving end of a `zenoh.handlers.FifoChannel`."""
 
-    def __init__(self) -> None:
-        self._items: deque[Any] = deque()
-        self._waiting: list[Callable[[], None]] = []
-
-    def put(self, item: Any) -> None:
-        self._items.append(item)
-        for wake in self._waiting[:1]:
-            wake()
-
     def try_recv(self) -> Any:
-        return self._items.popleft() if self._items else None
+        return None if self.empty() else self.get_nowait()
 
     def recv(self) -> Any:
-        clock.wait_for(self._waiting, lambda: bool(self._items), None)
-        return self._items.popleft()
+        return self.get()
 
 
 @dataclass(eq=False)

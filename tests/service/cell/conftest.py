@@ -9,12 +9,11 @@ import pytest
 
 from service.cell.inference import InlineInference
 from service.config import CellConfig, ClientLossSection
-from service.drivers.base import Driver
 from service.faults import FaultCode
 from service.messages import CellState, Run
 from service.testing import Bench, SimulatedCellFactory, cell_config, lockstep_cell
 from tests.service.cell import policies
-from tests.service.cell.faulty_driver import FaultyDriver, speed
+from tests.service.cell.faulty_driver import FaultyDriver, Wrapping, speed
 from tests.service.drivers.ur.emulated import lockstep_ur_cell, ur_cell_config
 
 EASY = 1872
@@ -106,20 +105,14 @@ def faulty_cell(arm: Arm, tmp_path: Path) -> FaultyCell:
         client_loss: ClientLossSection | None = None,
         **recipe: Any,
     ) -> AsyncIterator[FaultyBench]:
-        drivers: list[FaultyDriver] = []
-
-        def wrap(driver: Driver) -> FaultyDriver:
-            faulty = FaultyDriver(driver)
-            drivers.append(faulty)
-            return faulty
-
+        wrap = Wrapping(FaultyDriver)
         recipe.setdefault("conditions", "easy")
         config = arm.config(tmp_path / "state", policy or policies.straight(tmp_path), limits, **recipe)
         if client_loss is not None:
             config = config.model_copy(update={"client_loss": client_loss})
         async with arm.cell(config, wrap=wrap, inference=inference) as bench:
             # Only now: the cell's own watch would go by the host's time, which here is not the arm's
-            drivers[0].real_time = real_time
-            yield FaultyBench(bench, drivers[0], tmp_path / "state")
+            wrap.driver.real_time = real_time
+            yield FaultyBench(bench, wrap.driver, tmp_path / "state")
 
     return make

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from wire.task import Task
 
 AGAIN_TICKS = 50
 Spoil = Callable[[Sample], Sequence[Sample]]
+FaultyT = TypeVar("FaultyT", bound="FaultyDriver")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +76,10 @@ class FaultyDriver:
         if self._sink is not None:
             self._sink.on_link_fault(code, text)
 
+    def on_notice(self, text: str) -> None:
+        if self._sink is not None:
+            self._sink.on_notice(text)
+
     async def prepare(self, task: Task | None) -> None:
         await self._driver.prepare(task)
 
@@ -115,6 +121,23 @@ class FaultyDriver:
 
     def _note(self, kind: str) -> None:
         self.orders.append(Order(kind, self.clock()))
+
+
+class Wrapping(Generic[FaultyT]):
+    """Wraps the driver that a bench makes: `lockstep_cell(config, wrap=Wrapping(FaultyDriver))`.
+
+    Attributes:
+        driver: the wrapped one, once the bench has made it.
+    """
+
+    driver: FaultyT
+
+    def __init__(self, kind: Callable[[Driver], FaultyT]) -> None:
+        self._kind = kind
+
+    def __call__(self, driver: Driver) -> FaultyT:
+        self.driver = self._kind(driver)
+        return self.driver
 
 
 def with_wrench(sample: Sample, **components: float) -> Sample:

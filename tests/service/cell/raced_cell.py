@@ -7,26 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from service.drivers.base import Driver
 from service.messages import CellState, EventKind, Message, RefusalReason, Refused, RunState
 from service.testing import Bench, cell_config, lockstep_cell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
-from tests.service.cell.faulty_driver import FaultyDriver
+from tests.service.cell.faulty_driver import FaultyDriver, Wrapping
 
 
 @asynccontextmanager
 async def ready_cell(tmp_path: Path) -> AsyncIterator[tuple[Bench, FaultyDriver]]:
-    drivers: list[FaultyDriver] = []
-
-    def wrap(driver: Driver) -> FaultyDriver:
-        drivers.append(FaultyDriver(driver))
-        return drivers[-1]
-
+    wrap = Wrapping(FaultyDriver)
     config = cell_config(tmp_path / "state", policies.straight(tmp_path), conditions="easy")
     async with lockstep_cell(config, wrap=wrap) as bench:
         await bench.state(CellState.READY)
-        yield bench, drivers[0]
+        yield bench, wrap.driver
 
 
 async def assert_nothing_moves(bench: Bench, driver: FaultyDriver) -> None:

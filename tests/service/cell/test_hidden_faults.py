@@ -15,7 +15,7 @@ from service.cell.inference import InlineInference, OnAction, OnFailure
 from service.cell.journal import Journal
 from service.cell.path import StraightPath
 from service.cell.tick_record import TickRecord
-from service.drivers.base import Driver, DriverError, PoseTarget, Program, SampleSink
+from service.drivers.base import DriverError, PoseTarget, Program, SampleSink
 from service.faults import FaultCode
 from service.messages import (
     CellState,
@@ -35,7 +35,7 @@ from service.testing import RECIPE, Bench, cell_config, lockstep_cell
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY, FaultyCell
-from tests.service.cell.faulty_driver import FaultyDriver, with_wrench
+from tests.service.cell.faulty_driver import FaultyDriver, Wrapping, with_wrench
 from wire.task import Task
 
 
@@ -58,18 +58,13 @@ class LoadedCell(SimulatedCell):
 async def test_09_a_load_that_was_there_before_the_run_is_not_zeroed_away_contact_at_start(
     tmp_path: Path, load: Sequence[float]
 ) -> None:
-    drivers: list[FaultyDriver] = []
-
-    def wrap(driver: Driver) -> FaultyDriver:
-        drivers.append(FaultyDriver(driver))
-        return drivers[-1]
-
+    wrap = Wrapping(FaultyDriver)
     config = cell_config(tmp_path / "state", policies.straight(tmp_path), conditions="easy")
     async with lockstep_cell(config, wrap=wrap, world=LoadedCell(load)) as bench:
         run = await bench.insert(EASY)
         assert (run.state, run.code) == (RunState.FAILED, FaultCode.CONTACT_AT_START)
         assert "before zeroing" in run.text
-        assert drivers[0].said("zero_ft") == drivers[0].said("engage") == []
+        assert wrap.driver.said("zero_ft") == wrap.driver.said("engage") == []
 
 
 async def test_a_sensor_is_zeroed_only_while_the_arm_stands_and_rests(faulty_cell: FaultyCell) -> None:
@@ -118,17 +113,12 @@ class Connecting(FaultyDriver):
 @asynccontextmanager
 async def connecting_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[tuple[Bench, Connecting]]:
     monkeypatch.setattr(watch, "RECONNECT_S", 0.01)
-    drivers: list[Connecting] = []
-
-    def wrap(driver: Driver) -> Connecting:
-        drivers.append(Connecting(driver))
-        return drivers[-1]
-
+    wrap = Wrapping(Connecting)
     config = cell_config(tmp_path / "state", policies.straight(tmp_path), conditions="easy")
     async with lockstep_cell(config, wrap=wrap) as bench:
-        drivers[0].real_time = True
+        wrap.driver.real_time = True
         await bench.state(CellState.READY)
-        yield bench, drivers[0]
+        yield bench, wrap.driver
 
 
 async def test_while_connecting_samples_of_a_source_not_yet_believed_make_nothing_ready(
@@ -201,18 +191,13 @@ class Preparing(FaultyDriver):
 
 @asynccontextmanager
 async def preparing_cell(tmp_path: Path) -> AsyncIterator[tuple[Bench, Preparing]]:
-    drivers: list[Preparing] = []
-
-    def wrap(driver: Driver) -> Preparing:
-        drivers.append(Preparing(driver))
-        return drivers[-1]
-
+    wrap = Wrapping(Preparing)
     config = cell_config(tmp_path / "state", policies.straight(tmp_path), conditions="easy")
     async with lockstep_cell(config, wrap=wrap) as bench:
         await bench.state(CellState.READY)
         await bench.start(EASY)
         await bench.let_pass(0.1)
-        yield bench, drivers[0]
+        yield bench, wrap.driver
 
 
 async def test_a_force_at_the_ceiling_latches_while_the_world_is_prepared_too_force_ceiling(tmp_path: Path) -> None:
@@ -226,12 +211,7 @@ async def test_a_force_at_the_ceiling_latches_while_the_world_is_prepared_too_fo
 
 
 async def test_the_ceiling_that_is_shown_is_the_one_in_force(tmp_path: Path) -> None:
-    drivers: list[Preparing] = []
-
-    def wrap(driver: Driver) -> Preparing:
-        drivers.append(Preparing(driver))
-        return drivers[-1]
-
+    wrap = Wrapping(Preparing)
     policy = policies.still(tmp_path)
     config = cell_config(tmp_path / "state", policy, conditions="easy", force_ceiling_n=20.0, max_steps=1)
     async with lockstep_cell(config, wrap=wrap) as bench:
@@ -240,9 +220,9 @@ async def test_the_ceiling_that_is_shown_is_the_one_in_force(tmp_path: Path) -> 
         await bench.start(EASY)
         await bench.let_pass(0.1)
         assert bench.cell.status().force_ceiling_n == 20.0, "while the next world is prepared"
-        drivers[0].spoil = lambda sample: [with_wrench(sample, fx=25.0)]
+        wrap.driver.spoil = lambda sample: [with_wrench(sample, fx=25.0)]
         await bench.let_pass(0.01)
-        drivers[0].spoil = lambda sample: [sample]
+        wrap.driver.spoil = lambda sample: [sample]
         await bench.state(CellState.LATCHED, limit_s=1.0)
         assert bench.cell.journal.latch.code is FaultCode.FORCE_CEILING
 

@@ -6,8 +6,8 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from wire.session import open_session
 
 ROOT = Path(__file__).parents[3]
 LIMITS = {"sample_age_s": 0.25, "target_age_s": 0.6, "policy_deadline_s": 0.5}
-"""What a loaded test machine does to its clock is not what these tests are about."""
+"""Time limits in a test's configuration, s: so wide that the lateness of a loaded test machine trips none of them."""
 
 
 async def until(condition: Callable[[], object], seconds: float = 30.0) -> None:
@@ -144,15 +144,12 @@ def configured(tmp_path: Path, **replaced: str) -> tuple[Path, str]:
     return path, cell
 
 
-@asynccontextmanager
-async def control_process(
-    path: Path, endpoint: str, **options: Any
-) -> AsyncIterator[tuple[subprocess.Popen[bytes], CellClient]]:
+@contextmanager
+def started_control(path: Path, **options: Any) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a control process while the context lasts."""
     process = subprocess.Popen(command("control", "--config", str(path)), cwd=ROOT, **options)
     try:
-        async with CellClient("cell-1", [endpoint]) as client:
-            await until(lambda: client.state in (CellState.READY, CellState.LATCHED), 60.0)
-            yield process, client
+        yield process
     finally:
         process.terminate()
         try:
@@ -160,6 +157,16 @@ async def control_process(
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+@asynccontextmanager
+async def control_process(
+    path: Path, endpoint: str, **options: Any
+) -> AsyncIterator[tuple[subprocess.Popen[bytes], CellClient]]:
+    with started_control(path, **options) as process:
+        async with CellClient("cell-1", [endpoint]) as client:
+            await until(lambda: client.state in (CellState.READY, CellState.LATCHED), 60.0)
+            yield process, client
 
 
 async def test_48_sigterm_in_mid_run_stops_the_arm_and_ends_cleanly(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """A control process and its simulator behind TLS: who holds which certificate may do what, on real sessions."""
 
 import asyncio
-import subprocess
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -13,10 +12,9 @@ from service.client import CellClient, CellError, CellSilentError
 from service.envelope import QUERY_TICKET
 from service.faults import FaultCode
 from service.messages import CellState, StartRequest, StopRequest
-from service.program import command
 from tests.certificates import Authority
 from tests.service.cell.conftest import EASY
-from tests.service.cell.test_process import ROOT, configured, until
+from tests.service.cell.test_process import configured, started_control, until
 from tests.service.sim_server import free_endpoint
 from wire import keys
 from wire.session import close_session, open_session, query
@@ -43,16 +41,8 @@ async def secured(tmp_path: Path, authority: Authority) -> AsyncIterator[tuple[s
             '\n[tls]\nauthority = "certificates/authority.pem"\ncertificate = "certificates/cell-1.pem"\n'
             'key = "certificates/cell-1.key"\ncommanders = ["cell-1", "operator"]\nreaders = ["viewer"]\n'
         )
-    process = subprocess.Popen(command("control", "--config", str(path)), cwd=ROOT)
-    try:
+    with started_control(path):
         yield cell, sim
-    finally:
-        process.terminate()
-        try:
-            process.wait(10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 async def heard(endpoint: str, certificates: Certificates | None) -> tuple[int, dict[str, int]]:

@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 
@@ -20,20 +20,15 @@ from service.testing import RECIPE, cell_config
 from sim_backend.holding import LEASE_S
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
+from tests.service.cell.test_process import until
 from tests.service.sim_server import free_endpoint, sim_process
 from wire import keys, records
 from wire.session import QueryRefusedError, close_session, open_session, query
 
 LIMITS = {"sample_age_s": 0.5, "target_age_s": 1.0, "policy_deadline_s": 0.5}
-"""What a loaded test machine does to its clock is not what these tests are about."""
+"""Time limits in a test's configuration, s: so wide that the lateness of a loaded test machine trips none of them."""
 WORLD = "world-1"
 COMMANDS = (records.Kind.ENGAGE, records.Kind.TARGET, records.Kind.STOP, records.Kind.ZERO_FT, records.Kind.UNLOCK)
-
-
-async def until(condition: Callable[[], object], seconds: float = 30.0) -> None:
-    async with asyncio.timeout(seconds):
-        while not condition():
-            await asyncio.sleep(0.005)
 
 
 @asynccontextmanager
@@ -61,9 +56,9 @@ async def assert_undisturbed(cell: Cell, run_id: str, seconds: float) -> None:
     deadline = loop.time() + seconds
     first = cell.newest_sample
     while loop.time() < deadline:
-        if cell.journal.latch is not None:  # a loaded test machine is late; others would latch AUTHORITY, SOURCE, LINK
-            assert cell.journal.latch.code in (FaultCode.STALE, FaultCode.OVERRUN), cell.journal.latch
-            return
+        if (latch := cell.journal.latch) is not None:
+            assert latch.code in (FaultCode.STALE, FaultCode.OVERRUN), latch
+            pytest.skip(f"a loaded test machine was late, so nothing is shown: {latch.text}")
         assert cell.runs.active_id == run_id
         await asyncio.sleep(0.01)
     last = cell.newest_sample

@@ -37,7 +37,7 @@ from wire.session import close_session, open_session
 from wire.task import Task
 
 SAMPLE_AGE_S = 0.25
-"""Of the cells here: the watchdog's limit."""
+"""Age limit of a sample in a test's cell, s. It is the watchdog's limit, too."""
 
 
 class Witness:

@@ -1,4 +1,4 @@
-"""What the model of the contact loop says of a law, the simulated arm does: calm inside the limit, a swing outside."""
+"""The simulated arm against the model of the contact loop: a law inside the limit is calm, one outside swings."""
 
 from dataclasses import replace
 

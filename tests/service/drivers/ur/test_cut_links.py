@@ -3,7 +3,7 @@
 import asyncio
 import re
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,19 +12,18 @@ import numpy as np
 import pytest
 
 from service.client import CellClient, CellRefusedError
-from service.drivers.ur.rtde import RtdeClient
 from service.faults import FaultCode
 from service.messages import CellState, Event, EventKind, Latch, RefusalReason, ResetRequest, RunState, StartRequest
 from tests.fault_proxy import FaultProxy
 from tests.service.cell import policies
 from tests.service.drivers.ur import test_process
-from tests.service.drivers.ur.test_process import HOST, Reading, Robot, control_process, served_robot
+from tests.service.drivers.ur.test_process import HOST, Reading, Robot, control_process, onlooker, served_robot, until
 from tests.service.sim_server import free_endpoint
 from wire.rtde.modes import RuntimeState
 
 config = test_process.config
 SAMPLE_AGE_S, WATCHDOG_S = 0.4, 0.25
-"""Of the cells here."""
+"""Age limit of a sample in a test's cell, and period of the watchdog in its program on the controller, s."""
 LATENESS_S = 0.4
 """Lateness of three processes on a loaded test machine, s, beside the age limit."""
 
@@ -33,12 +32,6 @@ LATENESS_S = 0.4
 def robot() -> Iterator[Robot]:
     with served_robot() as robot:
         yield robot
-
-
-async def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
-    async with asyncio.timeout(seconds):
-        while not condition():
-            await asyncio.sleep(0.002)
 
 
 @dataclass
@@ -76,32 +69,18 @@ class Stand:
 
 @asynccontextmanager
 async def running(robot: Robot, config: Path) -> AsyncIterator[Stand]:
-    readings: list[Reading] = []
-    onlooker = RtdeClient(
-        HOST,
-        robot.ports["rtde"],
-        clock=asyncio.get_running_loop().time,
-        on_package=lambda values, arrival_s: readings.append(Reading._make(values)),
-        on_lost=lambda error: None,
-    )
-    await onlooker.connect()
-    await onlooker.setup(["timestamp", "actual_qd", "actual_TCP_force", "runtime_state"], 500.0)
-    await onlooker.start()
-    try:
-        async with FaultProxy((HOST, robot.ports["rtde"]), HOST) as proxy:
-            text = config.read_text().replace(f"rtde_port = {robot.ports['rtde']}", f"rtde_port = {proxy.port}")
-            model = str(policies.still(config.parent))
-            config.write_text(re.sub(r'"[^"]*/vftm-dsl\.onnx"', f'"{model}"', text))
-            async with control_process(config) as (_, client):
-                await until(lambda: client.state in (CellState.READY, CellState.LATCHED))
-                run_id = (await client.start(StartRequest(recipe="triangle-2mm", seed=5))).run.id
-                while np.abs(readings[-1].qd).max() < 0.02:
-                    run = await client.run(run_id)
-                    assert run.state is RunState.ACTIVE, run
-                async with client.events() as events:
-                    yield Stand(client, proxy, readings, events)
-    finally:
-        await onlooker.close()
+    async with onlooker(robot) as readings, FaultProxy((HOST, robot.ports["rtde"]), HOST) as proxy:
+        text = config.read_text().replace(f"rtde_port = {robot.ports['rtde']}", f"rtde_port = {proxy.port}")
+        model = str(policies.still(config.parent))
+        config.write_text(re.sub(r'"[^"]*/vftm-dsl\.onnx"', f'"{model}"', text))
+        async with control_process(config) as (_, client):
+            await until(lambda: client.state in (CellState.READY, CellState.LATCHED))
+            run_id = (await client.start(StartRequest(recipe="triangle-2mm", seed=5))).run.id
+            while np.abs(readings[-1].qd).max() < 0.02:
+                run = await client.run(run_id)
+                assert run.state is RunState.ACTIVE, run
+            async with client.events() as events:
+                yield Stand(client, proxy, readings, events)
 
 
 async def test_16_a_link_that_is_reset_under_a_moving_arm_latches_and_the_program_ends_by_itself(

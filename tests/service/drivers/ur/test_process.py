@@ -3,7 +3,7 @@
 import asyncio
 import os
 import subprocess
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -26,7 +26,7 @@ sample_age_s = 0.4
 target_age_s = 0.9
 policy_deadline_s = 0.5
 """
-"""What a loaded test machine does to its clock is not what these tests are about."""
+"""Time limits of a test's cell: so wide that the lateness of a loaded test machine trips none of them."""
 
 
 class Robot(NamedTuple):
@@ -155,28 +155,38 @@ class Reading(NamedTuple):
         return sum(component**2 for component in self.force[:3]) ** 0.5
 
 
-async def test_a_control_process_that_is_killed_while_it_pushes_leaves_an_arm_that_stands(
-    config: Path, robot: Robot
-) -> None:
-    """Only the controller is left to stop the arm: its watchdog, whose period is a quarter of a second here."""
+async def until(condition: Callable[[], object]) -> None:
+    async with asyncio.timeout(60.0):
+        while not condition():
+            await asyncio.sleep(0.002)
+
+
+@asynccontextmanager
+async def onlooker(robot: Robot) -> AsyncIterator[list[Reading]]:
+    """Read the controller over a connection of its own; yield the readings, to which each package adds one."""
     readings: list[Reading] = []
-    onlooker = RtdeClient(
+    client = RtdeClient(
         HOST,
         robot.ports["rtde"],
         clock=asyncio.get_running_loop().time,
         on_package=lambda values, arrival_s: readings.append(Reading._make(values)),
         on_lost=lambda error: None,
     )
-    await onlooker.connect()
-    await onlooker.setup(["timestamp", "actual_qd", "actual_TCP_force", "runtime_state"], 500.0)
-    await onlooker.start()
+    await client.connect()
+    await client.setup(["timestamp", "actual_qd", "actual_TCP_force", "runtime_state"], 500.0)
+    await client.start()
+    try:
+        yield readings
+    finally:
+        await client.close()
 
-    async def until(condition) -> None:
-        async with asyncio.timeout(60.0):
-            while not condition():
-                await asyncio.sleep(0.002)
 
-    async with control_process(config) as (process, client):
+async def test_a_control_process_that_is_killed_while_it_pushes_leaves_an_arm_that_stands(
+    config: Path, robot: Robot
+) -> None:
+    """Only the controller is left to stop the arm: its watchdog, whose period is a quarter of a second here."""
+
+    async with onlooker(robot) as readings, control_process(config) as (process, client):
         await until(lambda: client.state is CellState.READY)
         await client.start(StartRequest(recipe="triangle-2mm", seed=5))
         await until(lambda: client.state is CellState.RUNNING)
@@ -185,7 +195,6 @@ async def test_a_control_process_that_is_killed_while_it_pushes_leaves_an_arm_th
         process.kill()
         killed_s = readings[-1].time_s
         await until(lambda: readings[-1].time_s > killed_s + 1.5)
-    await onlooker.close()
     after = [reading for reading in readings if reading.time_s >= killed_s]
     ended_s = next(reading.time_s for reading in after if reading.runtime_state != RuntimeState.PLAYING)
     assert ended_s - killed_s < 0.25 + 0.5, "the watchdog's period, and what the onlooker may be late by"
