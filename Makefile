@@ -20,6 +20,7 @@ RUNTIME := $(VENV)/.installed-runtime
 TRAINING := $(VENV)/.installed-training
 DEV := $(VENV)/.installed-dev
 DOCS := $(VENV)/.installed-docs
+INSTALLED := pyproject.toml constraints.txt setup.py $(wildcard sim_backend/world/compiled/*.[ch])
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: help
@@ -36,22 +37,22 @@ $(BIN)/python:
 	@echo "creating $(VENV) with $$($(PYTHON) --version)"
 	@$(PYTHON) -m venv $(VENV)
 
-$(RUNTIME): pyproject.toml constraints.txt | $(BIN)/python
+$(RUNTIME): $(INSTALLED) | $(BIN)/python
 	@echo "installing what the cell needs at run time"
 	@$(PIP) --editable .
 	@touch $@
 
-$(TRAINING): pyproject.toml constraints.txt | $(BIN)/python
+$(TRAINING): $(INSTALLED) | $(BIN)/python
 	@echo "installing what training needs (torch among it)"
 	@$(PIP) --editable '.[training]'
 	@touch $@ $(RUNTIME)
 
-$(DEV): pyproject.toml constraints.txt | $(BIN)/python
+$(DEV): $(INSTALLED) | $(BIN)/python
 	@echo "installing what training, tests and linters need (torch among it)"
 	@$(PIP) --editable '.[$(EXTRAS)]'
 	@touch $@ $(RUNTIME) $(TRAINING)
 
-$(DOCS): pyproject.toml constraints.txt | $(BIN)/python
+$(DOCS): $(INSTALLED) | $(BIN)/python
 	@echo "installing what the documentation site needs"
 	@$(PIP) --editable '.[docs]'
 	@touch $@ $(RUNTIME)
@@ -106,7 +107,7 @@ coverage: $(DEV) ## every branch of the safety core is exercised by its own test
 
 nightly: $(DEV) ## 10,000 simulated universes, the state machine at length, every fault put back, mutation testing, coverage (hours)
 	$(BIN)/python -m tests.simulation --seeds 10000
-	$(BIN)/python -m pytest -m nightly tests/simulation
+	$(BIN)/python -m pytest -m nightly tests/simulation tests/sim_backend/world/compiled
 	$(BIN)/python -m tests.mutation
 	$(MAKE) test-covered
 

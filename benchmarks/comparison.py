@@ -118,7 +118,7 @@ def table(changes: Sequence[Change], turns: int) -> Table:
 
 
 def _check_out(commit: str, tree: Path) -> Path:
-    """Write the files of a commit, with the present benchmarks in place of its own."""
+    """Write the files of a commit, with the present benchmarks in place of its own, and build what it has in C."""
     done = subprocess.run(["git", "archive", commit], cwd=ROOT, capture_output=True)  # noqa: S607  # any git will do
     if done.returncode != 0:
         raise CommitError(f"{commit}: {done.stderr.decode().strip()}")
@@ -126,6 +126,8 @@ def _check_out(commit: str, tree: Path) -> Path:
         archive.extractall(tree, filter="data")
     shutil.rmtree(tree / "benchmarks", ignore_errors=True)
     shutil.copytree(ROOT / "benchmarks", tree / "benchmarks", ignore=shutil.ignore_patterns("results", "__pycache__"))
+    if (tree / "setup.py").exists():
+        subprocess.run([sys.executable, "setup.py", "build_ext", "--inplace"], cwd=tree, capture_output=True)
     return tree
 
 

@@ -64,8 +64,10 @@ app = typer.Typer(cls=Commands, add_completion=False, no_args_is_help=True, pret
 def _print_version(wanted: bool) -> None:
     if wanted:
         from api.version import installed_version
+        from sim_backend.world import compiled
 
         typer.echo(f"{PROGRAM} {installed_version()}")
+        typer.echo(compiled.describe())
         raise typer.Exit
 
 

@@ -4,6 +4,7 @@ import contextlib
 import os
 import signal
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
@@ -20,7 +21,7 @@ from sim_backend.ur_controller.assembly import make_controller
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer, Ports
 from sim_backend.ur_controller.surroundings import Surroundings
-from sim_backend.world import appearance, rendering
+from sim_backend.world import appearance, compiled, rendering
 from sim_backend.world.world import World
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from sim_backend.zenoh_cell.server import Pace, Server
@@ -87,8 +88,7 @@ def serve(
     with session:
         cell = SimulatedCell(task.part)
         cell.reset(task)
-        for line in refused:
-            typer.echo(f"degraded: {line}", err=True)
+        _say_what_is_missing(refused)
         try:
             server = Server(cell, session, world, mode, refused)
         except ValueError as error:
@@ -148,14 +148,20 @@ def ur_controller(
             _fail(str(error), Exit.USAGE)
         if surroundings is not None:
             stack.enter_context(contextlib.closing(surroundings))
-        for line in refused:
-            typer.echo(f"degraded: {line}", err=True)
+        _say_what_is_missing(refused)
         ready = {"host": host, **asdict(server.ports)}
         if surroundings is not None:
             ready |= {"world": world, "epoch": surroundings.epoch, "listen": ",".join(listen or [])}
         typer.echo(" ".join(["ready", *(f"{name}={value}" for name, value in ready.items())]))
         sys.stdout.flush()
         server.run(surroundings)
+
+
+def _say_what_is_missing(refused: Sequence[str]) -> None:
+    for line in refused:
+        typer.echo(f"degraded: {line}", err=True)
+    if compiled.tick is None:
+        typer.echo(compiled.describe(), err=True)
 
 
 def _read_programs(folder: Path) -> dict[str, str]:

@@ -7,8 +7,9 @@ control program and the robot do the same. These limits are an inner layer below
 
 import numpy as np
 
-from sim_backend.world import kinematics, quaternion
+from sim_backend.world import compiled, kinematics, quaternion
 from sim_backend.world.compliance import Law, Reference, advance
+from sim_backend.world.linear import product
 from sim_backend.world.servo import JointServo
 from wire import pose
 from wire.arrays import BoolArray, CellIndices, FloatArray
@@ -31,7 +32,6 @@ MIN_PROTECTIVE_STOP_S = 5.0
 """Shortest protective stop, s. An earlier unlock is refused, as on a UR controller."""
 
 _STEP = kinematics.JOINT_SPEED_RAD_S * TICK_S
-_NOT_SATURATED = np.bool_(False)
 
 
 class ArmController:
@@ -76,6 +76,10 @@ class ArmController:
         self.jacobian = np.zeros((n, 6, 6))
         self._inverse = np.zeros((n, 6, 6))
         self._phase = np.zeros(n, np.int64)
+        self._trusted: BoolArray = np.zeros(n, bool)
+        self._compiled = compiled.tick
+        if self._compiled is not None:
+            self._bind(self._compiled)
 
     def place(self, cells: CellIndices, joints: FloatArray, target_delay: CellIndices) -> None:
         """Put arms at rest at `joints` (k, 6), disengaged. Targets take effect after `target_delay` (k,) ticks."""
@@ -183,7 +187,8 @@ class ArmController:
         wrench: FloatArray,
         position: FloatArray,
         orientation: FloatArray,
-        saturated: BoolArray | np.bool_ = _NOT_SATURATED,
+        saturated: BoolArray | None = None,
+        out: FloatArray | None = None,
     ) -> FloatArray:
         """Run one tick.
 
@@ -193,10 +198,19 @@ class ArmController:
             position: (n, 3) measured TCP.
             orientation: (n, 4) quaternion of the measured TCP.
             saturated: (n,) True where the sensor is at the end of its range; its load then counts as above the ceiling.
+                None: nowhere.
+            out: (n, 6) where to write the set-points; None: into a new array.
 
         Returns:
             (n, 6) set-points for the joint servos, rad, with the lead and sag that make the arm follow closely.
         """
+        saturated = self._trusted if saturated is None else saturated
+        out = np.empty((self.n, 6)) if out is None else out
+        if self._compiled is not None:
+            due = self._compiled.lead(self._arrays, self._constants, joints, wrench, position, orientation, saturated)
+            inverses = _inverted(self._jacobians[:due]) if due else self._jacobians
+            self._compiled.follow(self._arrays, self._constants, inverses, out)
+            return out
         self._release_pending()
         wrench = self._watch(joints, wrench, position, orientation, saturated)
         engaged = self.program == Program.ENGAGED
@@ -212,12 +226,13 @@ class ArmController:
             self._solve(np.flatnonzero(due))
         self._phase += 1
         self._phase %= KINEMATICS_TICKS
-        rates = np.einsum("nij,nj->ni", self._inverse, self.reference.twist)
-        racing = np.abs(rates) > kinematics.JOINT_SPEED_RAD_S
+        rates = product(self._inverse, self.reference.twist)
+        racing: BoolArray = np.logical_or.reduce(np.abs(rates) > kinematics.JOINT_SPEED_RAD_S, axis=1)
         if racing.any():
-            self._brake(racing.any(1), rates)
+            self._brake(racing, rates)
         self.joints += TICK_S * rates
-        return self._servo.set_points(self.joints, rates)
+        out[:] = self._servo.set_points(self.joints, rates)
+        return out
 
     def _release_pending(self) -> None:
         due = self._pending == 0
@@ -232,7 +247,7 @@ class ArmController:
         wrench: FloatArray,
         position: FloatArray,
         orientation: FloatArray,
-        saturated: BoolArray | np.bool_,
+        saturated: BoolArray,
     ) -> FloatArray:
         """Stop arms that violate a limit; return the wrench to use, zero where it is not a number."""
         force = np.sqrt((wrench[:, :3] ** 2).sum(1))
@@ -327,7 +342,7 @@ class ArmController:
             self.reference.twist[cells[singular | outside]] = 0.0
             jacobian[singular] = np.eye(6)
             held |= singular
-        inverse = np.linalg.inv(jacobian)
+        inverse = _inverted(jacobian)
         inverse[singular] = 0.0  # a singular arm does not move
         self._inverse[cells] = inverse
         if held.any():
@@ -336,10 +351,50 @@ class ArmController:
         turn = quaternion.between(orientation, self.reference.quaternion[cells])
         error = np.concatenate([self.reference.position[cells] - position, turn], axis=1)
         error -= TICK_S * self.reference.twist[cells]  # `update` adds this step afterwards
-        joints += np.clip(np.einsum("nij,nj->ni", inverse, error), -_STEP, _STEP)
+        joints += np.clip(product(inverse, error), -_STEP, _STEP)
         self.joints[cells] = joints
         self._servo.refresh(cells, joints)
 
     def _tcp(self, flange: FloatArray, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return position (k, 3) and quaternion (k, 4) of the TCP for a flange's pose."""
         return flange + rotation @ self._offset, quaternion.from_rotvec(pose.rotvec_from_rotation(rotation))
+
+    def _bind(self, tick: compiled.Tick) -> None:
+        """Hand the arrays and constants of this controller to the compiled tick."""
+        n, law, reference = self.n, self.law, self.reference
+        self._singular: BoolArray = np.zeros(n, bool)
+        self._errors = np.zeros((n, 6))
+        self._jacobians = np.zeros((n, 6, 6))
+        nested = {
+            "stiffness": law.stiffness,
+            "damping": law.damping,
+            "inertia": law.inertia,
+            "max_speed": law.max_speed,
+            "speed_limit": self._max_speed,
+            "reference_position": reference.position,
+            "reference_quaternion": reference.quaternion,
+            "reference_twist": reference.twist,
+            "sag": self._servo.sag,
+        }
+        self._arrays = compiled.arrays(tick.ARM, vars(self) | nested)
+        constants = {
+            **kinematics.LENGTHS_M,
+            **self._servo.constants(),
+            "tick_s": TICK_S,
+            "stop_share": TICK_S / STOP_S,
+            "follow_s": FOLLOW_S,
+            "follow_share": FOLLOW_SHARE,
+            "protective_force_n": PROTECTIVE_FORCE_N,
+            "protective_error_rad": PROTECTIVE_ERROR_RAD,
+            "least_margin": SINGULARITY_MARGIN,
+            "kinematics_ticks": KINEMATICS_TICKS,
+            "joint_range": kinematics.JOINT_RANGE_RAD,
+            "joint_speed": kinematics.JOINT_SPEED_RAD_S,
+            "joint_step": _STEP,
+            "tcp": self._offset,
+        }
+        self._constants = compiled.constants(tick.ARM_CONSTANTS, constants)
+
+
+def _inverted(matrices: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(matrices), np.float64)

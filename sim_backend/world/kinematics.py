@@ -9,7 +9,9 @@ batch shape. The flange is the DH frame 6.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -74,6 +76,8 @@ for _constant in (JOINT_RANGE_RAD, JOINT_SPEED_RAD_S, JOINT_TORQUE_NM):
 
 _D1, _D4, _D5, _D6 = UR3E[0].d_m, UR3E[3].d_m, UR3E[4].d_m, UR3E[5].d_m
 _A2, _A3 = UR3E[1].a_m, UR3E[2].a_m
+LENGTHS_M: Mapping[str, float] = MappingProxyType({"d1": _D1, "a2": _A2, "a3": _A3, "d4": _D4, "d5": _D5, "d6": _D6})
+"""DH lengths and offsets that are not zero, m."""
 _EDGE = 1e-9  # rounding tolerance at the rim of the workspace, in sines and cosines
 
 
@@ -100,7 +104,8 @@ def forward_and_jacobian(q: npt.ArrayLike, tool_offset: npt.ArrayLike) -> tuple[
     chain = _Chain(q)
     position, rotation = chain.flange()
     offset = np.asarray(tool_offset, np.float64)
-    point = position + (rotation @ offset[..., None])[..., 0]
+    x, y, z = offset[..., :1], offset[..., 1:2], offset[..., 2:]
+    point = position + (rotation[..., 0] * x + rotation[..., 1] * y + rotation[..., 2] * z)
     return position, rotation, chain.jacobian(point)
 
 

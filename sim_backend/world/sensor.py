@@ -8,8 +8,10 @@ sign is that of the environment's action on the tool: a UR controller's `actual_
 import numpy as np
 import numpy.typing as npt
 
+from sim_backend.world import compiled
 from sim_backend.world.conditions import NOISE_ROWS, Episode
 from sim_backend.world.kinematics import GRAVITY_M_S2
+from sim_backend.world.linear import moment, product
 from wire.arrays import BoolArray, FloatArray
 from wire.records import TICK_S
 
@@ -30,13 +32,14 @@ class ForceTorqueSensor:
         payload_kg: mass that the controller compensates.
         payload_com_m: (3,) centre of that mass, in the flange's frame.
         tcp_offset_m: (3,) TCP in the flange's frame.
+
+    Attributes:
+        saturated: (n,) True where a channel of the latest reading is at the end of its range.
     """
 
     def __init__(self, n: int, payload_kg: float, payload_com_m: npt.ArrayLike, tcp_offset_m: npt.ArrayLike) -> None:
-        self._weight = payload_kg * GRAVITY_M_S2
-        self._com, self._tcp = _lever(payload_com_m), _lever(tcp_offset_m)
         self._rows = np.arange(n)
-        self._history = np.zeros((MAX_DELAY, n, 6))
+        self._history = np.zeros((n, MAX_DELAY, 6))
         self._slot = 0
         self._tick = np.zeros(n, np.int64)
         self._delay = np.ones(n, np.int64)
@@ -45,9 +48,33 @@ class ForceTorqueSensor:
         self._drift = np.zeros((n, 6))
         self._zero = np.zeros((n, 6))
         self._average = np.zeros((n, 6))
-        self.raw = np.zeros((n, 6))
-        self.wrench = np.zeros((n, 6))
+        self._sensed = np.zeros((n, 6))
+        self._raw = np.zeros((n, 6))
+        self._wrench = np.zeros((n, 6))
         self.saturated: BoolArray = np.zeros(n, bool)
+        self._compiled = compiled.tick
+        self._arrays = () if self._compiled is None else compiled.arrays(self._compiled.SENSOR, vars(self))
+        self._set_levers(payload_kg, payload_com_m, tcp_offset_m)
+
+    @property
+    def raw(self) -> FloatArray:
+        """(n, 6) copy of the latest reading within the sensor's range: about the flange, flange axes, N and N·m."""
+        return self._raw.copy()
+
+    @property
+    def wrench(self) -> FloatArray:
+        """(n, 6) copy of the latest compensated reading: at the TCP, base axes, N and N·m."""
+        return self._wrench.copy()
+
+    @property
+    def latest(self) -> FloatArray:
+        """(n, 6) `wrench` itself, which the next reading changes in place."""
+        return self._wrench
+
+    @property
+    def latest_raw(self) -> FloatArray:
+        """(n, 6) `raw` itself, which the next reading changes in place."""
+        return self._raw
 
     def configure(
         self, payload_kg: float, payload_com_m: npt.ArrayLike, tcp_offset_m: npt.ArrayLike, rotation: FloatArray
@@ -61,8 +88,7 @@ class ForceTorqueSensor:
             rotation: (n, 3, 3) present orientation of the flange; the next zero uses the readings before this call.
         """
         self._average += self._gravity(rotation)
-        self._weight = payload_kg * GRAVITY_M_S2
-        self._com, self._tcp = _lever(payload_com_m), _lever(tcp_offset_m)
+        self._set_levers(payload_kg, payload_com_m, tcp_offset_m)
         self._average -= self._gravity(rotation)
 
     def reset(self, cell: int, episode: Episode) -> None:
@@ -76,7 +102,7 @@ class ForceTorqueSensor:
         # at rest, tool down, since long before the episode; the payload's mass differs slightly from the configured one
         self._average[cell] = episode.bias + episode.wrench_noise[-ZERO_TICKS:].mean(axis=0)
         self._average[cell, 2] += (episode.mass_scale - 1.0) * self._weight
-        self.raw[cell] = self.wrench[cell] = 0.0
+        self._raw[cell] = self._wrench[cell] = 0.0
         self.saturated[cell] = False
 
     def read(self, carried: FloatArray, rotation: FloatArray) -> None:
@@ -86,31 +112,43 @@ class ForceTorqueSensor:
             carried: (n, 6) true load on the flange, flange axes, from environment and gravity.
             rotation: (n, 3, 3) orientation of the flange.
         """
-        raw = self.sense(carried)
-        np.any(np.abs(raw) >= RANGE, axis=1, out=self.saturated)
-        self.raw = np.clip(raw, -RANGE, RANGE)
-        own = self.raw - self._gravity(rotation)
+        sensed = self.sense(carried)
+        if self._compiled is not None:
+            self._compiled.compensate(self._arrays, self._constants, sensed, rotation)
+            return
+        np.any(np.abs(sensed) >= RANGE, axis=1, out=self.saturated)
+        np.clip(sensed, -RANGE, RANGE, out=self._raw)
+        own = self._raw - self._gravity(rotation)
         self._average += (own - self._average) / ZERO_TICKS
         own -= self._zero
-        self.wrench = self._at_tcp(own, rotation)
+        self._wrench[:] = self._at_tcp(own, rotation)
 
-    def unzeroed(self, rotation: FloatArray) -> FloatArray:
+    def unzeroed(self, rotation: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Return the latest reading as `wrench`, (n, 6), but without any zero.
 
         Args:
             rotation: (n, 3, 3) orientation of the flange at that reading.
+            out: (n, 6) where to write it; None: into a new array.
         """
-        return self._at_tcp(self.raw - self._gravity(rotation), rotation)
+        out = np.empty_like(self._raw) if out is None else out
+        if self._compiled is not None:
+            self._compiled.unzeroed(self._arrays, self._constants, rotation, out)
+        else:
+            out[:] = self._at_tcp(self._raw - self._gravity(rotation), rotation)
+        return out
 
     def sense(self, carried: FloatArray) -> FloatArray:
         """Return the reading (n, 6) that the sensor's electronics make of the true load, before its range ends it."""
         self._slot = (self._slot + 1) % MAX_DELAY
-        self._history[self._slot] = carried
+        if self._compiled is not None:
+            self._compiled.sense(self._arrays, self._constants, carried, self._slot)
+            return self._sensed
+        self._history[:, self._slot] = carried
         fresh = self._tick == 0
         if fresh.any():
-            self._history[:, fresh] = carried[fresh]
+            self._history[fresh] = carried[fresh][:, None]
         # MuJoCo's reading is already one tick old
-        raw = self._history[(self._slot - self._delay + 1) % MAX_DELAY, self._rows]
+        raw = self._history[self._rows, (self._slot - self._delay + 1) % MAX_DELAY]
         raw += self._noise[self._rows, self._tick % NOISE_ROWS]
         raw += self._bias
         raw += self._drift * np.minimum(self._tick, DRIFT_TICKS)[:, None]
@@ -126,9 +164,9 @@ class ForceTorqueSensor:
     def _at_tcp(self, own: FloatArray, rotation: FloatArray) -> FloatArray:
         """Return a wrench at the TCP, base axes, of one about the flange, flange axes; (n, 6) each."""
         wrench = np.empty_like(own)
-        wrench[:, :3] = np.einsum("nij,nj->ni", rotation, own[:, :3])
-        own[:, 3:] -= own[:, :3] @ self._tcp  # the moment about the TCP
-        wrench[:, 3:] = np.einsum("nij,nj->ni", rotation, own[:, 3:])
+        wrench[:, :3] = product(rotation, own[:, :3])
+        own[:, 3:] -= moment(self._tcp, own[:, :3])
+        wrench[:, 3:] = product(rotation, own[:, 3:])
         return wrench
 
     def _gravity(self, rotation: FloatArray) -> FloatArray:
@@ -137,13 +175,23 @@ class ForceTorqueSensor:
         """
         out = np.empty((len(rotation), 6))
         np.multiply(rotation[:, 2, :], -self._weight, out=out[:, :3])
-        out[:, 3:] = out[:, :3] @ self._com
+        out[:, 3:] = moment(self._com, out[:, :3])
         return out
 
-
-def _lever(point: npt.ArrayLike) -> FloatArray:
-    """Return the (3, 3) matrix that turns a force, as a row, acting at `point` (3,) into its moment about the
-    origin.
-    """
-    x, y, z = np.asarray(point, np.float64).tolist()
-    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    def _set_levers(self, payload_kg: float, payload_com_m: npt.ArrayLike, tcp_offset_m: npt.ArrayLike) -> None:
+        self._weight = payload_kg * GRAVITY_M_S2
+        self._com, self._tcp = np.array(payload_com_m, np.float64), np.array(tcp_offset_m, np.float64)
+        if self._compiled is not None:
+            self._constants = compiled.constants(
+                self._compiled.SENSOR_CONSTANTS,
+                {
+                    "max_delay": MAX_DELAY,
+                    "noise_rows": NOISE_ROWS,
+                    "drift_ticks": DRIFT_TICKS,
+                    "zero_ticks": ZERO_TICKS,
+                    "weight": self._weight,
+                    "range": RANGE,
+                    "com": self._com,
+                    "tcp": self._tcp,
+                },
+            )

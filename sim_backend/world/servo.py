@@ -17,6 +17,9 @@ class JointServo:
         damping: (6,) damping of the position loops, N·m·s/rad.
         payload_kg: mass whose weight the loops carry.
         payload_com_m: (3,) centre of that mass, in the flange's frame.
+
+    Attributes:
+        sag: (n, 6) angles by which the joints sag under the payload, rad, as of the latest refresh.
     """
 
     def __init__(
@@ -24,7 +27,7 @@ class JointServo:
     ) -> None:
         self._lead = damping / stiffness
         self._compliance = 1.0 / stiffness
-        self._sag = np.zeros((n, 6))
+        self.sag = np.zeros((n, 6))
         self.set_payload(payload_kg, payload_com_m)
 
     def set_payload(self, payload_kg: float, payload_com_m: npt.ArrayLike) -> None:
@@ -34,11 +37,15 @@ class JointServo:
 
     def refresh(self, cells: CellIndices, joints: FloatArray) -> None:
         """Update the sag of `cells` (k,) at joint angles (k, 6); it changes slowly, so not every tick needs it."""
-        self._sag[cells] = self._compliance * self._weight * kinematics.jacobian(joints, self._com)[:, 2, :]
+        self.sag[cells] = self._compliance * self._weight * kinematics.jacobian(joints, self._com)[:, 2, :]
 
     def set_points(self, joints: FloatArray, speeds: FloatArray) -> FloatArray:
         """Return set-points (n, 6), rad, that bring the joints to `joints` (n, 6) at speeds `speeds` (n, 6)."""
-        return joints + self._lead * speeds + self._sag
+        return joints + self._lead * speeds + self.sag
+
+    def constants(self) -> dict[str, FloatArray]:
+        """Return what the compiled tick needs, by its names."""
+        return {"lead": self._lead, "sag_per_lever": self._compliance * self._weight, "payload_com": self._com}
 
 
 def gains(model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:

@@ -10,12 +10,14 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from sim_backend.world import kinematics, scene
+from sim_backend.world import compiled, kinematics, scene
 from sim_backend.world.arm import ArmController
 from sim_backend.world.conditions import CAMERA_FRAMES, Episode, draw
+from sim_backend.world.linear import product
 from sim_backend.world.parts import HOLE_DEPTH_M, hole_walls, wall_centres
 from sim_backend.world.sensor import ForceTorqueSensor
 from sim_backend.world.servo import gains
+from sim_backend.world.telling import Telling
 from wire import pose
 from wire.arrays import BoolArray, CellIndices, FloatArray
 from wire.law import ControlLimits
@@ -42,12 +44,9 @@ class World:
         threads: number of threads that step the physics; 0 for one per core.
 
     Attributes:
-        joints: (n, 6) measured joint angles, rad.
-        position: (n, 3) measured TCP, base frame; MuJoCo gives that of the previous tick.
-        rotation: (n, 3, 3) measured orientation of the TCP, of the previous tick too.
         sensor: force/torque sensor; `sensor.wrench` (n, 6) is the compensated reading.
-        estimate: (n, 3) the camera's estimate of the hole's mouth.
         arm: the arm controllers.
+        telling: what the cells tell of themselves.
         ticks: (n,) ticks since each cell's reset.
     """
 
@@ -92,13 +91,33 @@ class World:
         self._episodes: list[Episode] = [draw(Task(0, part))] * n
         self._all = np.arange(n)
         self.clearance = np.full(n, 2e-3)
-        self.joints = np.zeros((n, 6))
-        self.position, self.rotation = np.zeros((n, 3)), np.zeros((n, 3, 3))
-        self.estimate = np.zeros((n, 3))
+        self._joints, self._carried = np.zeros((n, 6)), np.zeros((n, 6))
+        self._position, self._rotation = np.zeros((n, 3)), np.zeros((n, 3, 3))
+        self._estimate = np.zeros((n, 3))
         self._offset = np.zeros((n, 3))
         self._jitter = np.zeros((n, CAMERA_FRAMES, 3))
         self.ticks = np.zeros(n, np.int64)
         self._stiffness_scale = np.ones(n)
+        self._compiled = compiled.tick
+        if self._compiled is not None:
+            frames = {"estimate_ticks": ESTIMATE_TICKS, "camera_frames": CAMERA_FRAMES}
+            self._arrays = compiled.arrays(self._compiled.CELLS, vars(self))
+            self._constants = compiled.constants(self._compiled.CELLS_CONSTANTS, frames)
+        self.telling = Telling(
+            {
+                "joints": self._joints,
+                "qvel": self._qvel,
+                "position": self._position,
+                "rotation": self._rotation,
+                "estimate": self._estimate,
+                "jacobian": self.arm.jacobian,
+                "target_position": self.arm.target_position,
+                "target_quaternion": self.arm.target_quaternion,
+                "peak_force": self.arm.peak_force,
+                "wrench": self.sensor.latest,
+                "raw": self.sensor.latest_raw,
+            }
+        )
         self.reset(self._all, [Task(i, part) for i in range(n)])
 
     def reset(self, cells: CellIndices, tasks: Sequence[Task]) -> None:
@@ -137,7 +156,7 @@ class World:
             self._jitter[cell] = episode.estimate_noise
             self.sensor.reset(int(cell), episode)
             self.ticks[cell] = 0
-        self.estimate[cells] = self.camera(cells)
+        self._estimate[cells] = self.camera(cells)
         k = len(cells)
         self.place(cells, np.tile(START_POSITION_M, (k, 1)), np.full(k, START_YAW_RAD))
 
@@ -187,9 +206,9 @@ class World:
 
     def tick(self) -> None:
         """Advance every cell by one tick of 2 ms, driven by its arm controller."""
-        self.drive(
-            self.arm.update(self.joints, self.sensor.wrench, self.position, self._orientation, self.sensor.saturated)
-        )
+        sensor = self.sensor
+        self.arm.update(self._joints, sensor.latest, self._position, self._orientation, sensor.saturated, self._ctrl)
+        self._step()
 
     def drive(self, set_points: FloatArray) -> None:
         """Advance every cell by one tick of 2 ms with `set_points` (n, 6) for the joint servos, rad.
@@ -197,11 +216,7 @@ class World:
         For controllers other than `arm`, which stands still meanwhile.
         """
         self._ctrl[:] = set_points
-        self._batch.step()
-        self.ticks += 1
-        self._measure()
-        self.sensor.read(-self._load, self.rotation)
-        self.estimate = self.camera(self._all)
+        self._step()
 
     def camera(self, cells: CellIndices) -> FloatArray:
         """Return the camera's present estimate of the hole's mouth, (k, 3)."""
@@ -219,6 +234,26 @@ class World:
     def data(self, cell: int = 0) -> mujoco.MjData:
         """Return one cell's MuJoCo data, for rendering and inspection. Its model is `model(cell)`."""
         return self._batch.get_data(cell)
+
+    @property
+    def joints(self) -> FloatArray:
+        """(n, 6) copy of the measured joint angles, rad."""
+        return self._joints.copy()
+
+    @property
+    def position(self) -> FloatArray:
+        """(n, 3) copy of the measured TCP, base frame; MuJoCo gives that of the previous tick."""
+        return self._position.copy()
+
+    @property
+    def rotation(self) -> FloatArray:
+        """(n, 3, 3) copy of the measured orientation of the TCP, of the previous tick too."""
+        return self._rotation.copy()
+
+    @property
+    def estimate(self) -> FloatArray:
+        """(n, 3) copy of the camera's estimate of the hole's mouth."""
+        return self._estimate.copy()
 
     @property
     def target_delay(self) -> CellIndices:
@@ -241,7 +276,21 @@ class World:
     @property
     def twist(self) -> FloatArray:
         """(n, 6) measured twist of the TCP, base frame, m/s and rad/s."""
-        return np.einsum("nij,nj->ni", self.arm.jacobian, self._qvel[:, :6])
+        return product(self.arm.jacobian, self._qvel[:, :6])
+
+    @property
+    def drives(self) -> compiled.Arrays:
+        """Effort of the drives in the last tick, as views: joint angles (n, 6), rad; speeds (n, 7), rad/s; and torques,
+        N·m, of the servos (n, 6), of contacts, of the fingers' spring, and of weight and turning (n, 7 each).
+        """
+        return (
+            self._joints,
+            self._qvel,
+            self._servo_torques,
+            self._constraint_torques,
+            self._passive_torques,
+            self._bias_torques,
+        )
 
     @property
     def joint_torques(self) -> FloatArray:
@@ -312,7 +361,7 @@ class World:
 
         Contacts are the only constraints on the arm's own joints, so their generalised forces are those of a wrench.
         """
-        jacobian = kinematics.jacobian(self.joints, (0.0, 0.0, scene.TCP_OFFSET_M))
+        jacobian = kinematics.jacobian(self._joints, (0.0, 0.0, scene.TCP_OFFSET_M))
         torques = self._constraint_torques[:, :6, None]
         return np.asarray(np.linalg.solve(jacobian.transpose(0, 2, 1), torques)[:, :3, 0], np.float64)
 
@@ -332,7 +381,18 @@ class World:
             pz += mass * (vz + wx * (y - y0) - wy * (x - x0))
         return px, py, pz
 
+    def _step(self) -> None:
+        self._batch.step()
+        if self._compiled is not None:
+            self._compiled.measure(self._arrays, self._constants)
+        else:
+            self.ticks += 1
+            self._measure()
+            np.negative(self._load, out=self._carried)
+            self._estimate[:] = self.camera(self._all)
+        self.sensor.read(self._carried, self._rotation)
+
     def _measure(self) -> None:
-        self.joints = self._qpos[:, :6].copy()
-        self.position = self._tcp_position.copy()
-        self.rotation = self._tcp_rotation.copy()
+        self._joints[:] = self._qpos[:, :6]
+        self._position[:] = self._tcp_position
+        self._rotation[:] = self._tcp_rotation

@@ -9,11 +9,10 @@ import numpy as np
 from sim_backend.world import quaternion, scene
 from sim_backend.world.joint_sense import JointSense
 from sim_backend.world.world import World
-from wire import pose
+from sim_backend.zenoh_cell.state_record import StateRecord
 from wire.arrays import RecordArray
 from wire.law import ControlLimits
-from wire.records import STATE, TICK_S, Kind, Program, StopReason, new
-from wire.rtde.modes import RobotMode, SafetyMode
+from wire.records import TICK_S, Kind, Program, StopReason
 from wire.task import Part, Task
 
 _ENGAGE_RANGES = {
@@ -47,6 +46,7 @@ class SimulatedCell:
         self._world = World(1, part)
         self._task = Task(0, part)
         self._joint_sense = JointSense()
+        self._record = StateRecord()
         self._episode = 0
         self._seq = 0
         self._client = 0
@@ -115,28 +115,15 @@ class SimulatedCell:
 
     def state(self) -> RecordArray:
         """Return the present state, (1,) of `records.STATE`."""
-        world, arm = self._world, self._world.arm
-        record = new(STATE, Kind.STATE)
-        row = record[0]
-        row["epoch"], row["episode"], row["seq"] = self.epoch, self._episode, self._seq
-        row["time_s"] = self._seq * TICK_S
-        row["q"], row["qd"] = world.joints[0], world.joint_speeds[0]
-        row["tcp_position"], row["tcp_rotvec"] = world.position[0], pose.rotvec_from_rotation(world.rotation[0])
-        row["tcp_velocity"] = world.twist[0]
-        row["target_position"] = arm.target_position[0]
-        row["target_rotvec"] = quaternion.to_rotvec(arm.target_quaternion)[0]
-        row["wrench"], row["ft_raw"] = world.sensor.wrench[0], world.sensor.raw[0]
-        row["hole_estimate"] = world.estimate[0]
-        row["peak_force"] = arm.peak_force[0]
-        row["command_seq"], row["client"] = self._command_seq, self._client
-        program = int(arm.program[0])
-        row["program"], row["stop_reason"] = program, arm.stop_reason[0]
-        row["robot_mode"] = RobotMode.RUNNING
-        row["safety_mode"] = SafetyMode.PROTECTIVE_STOP if program == Program.PROTECTIVE_STOP else SafetyMode.NORMAL
-        row["saturated"] = world.sensor.saturated[0]
-        row["unzeroed"] = world.sensor.unzeroed(world.rotation)[0]
-        row["joint_force"] = self._joint_sense.force
-        return record
+        own = {
+            "epoch": self.epoch,
+            "episode": self._episode,
+            "seq": self._seq,
+            "time_s": self._seq * TICK_S,
+            "command_seq": self._command_seq,
+            "client": self._client,
+        }
+        return self._record.write(self._world, self._joint_sense, own)
 
     def truth(self) -> dict[str, Any]:
         """Return facts that only the simulation knows; for evaluation and tests, never for the control process."""

@@ -5,6 +5,7 @@ import pytest
 
 from benchmarks import comparison
 from benchmarks.comparison import CommitError, change, compare
+from tests.sim_backend.world.compiled.twins import needs_the_extension
 
 
 def test_a_load_that_changes_from_turn_to_turn_is_no_change() -> None:
@@ -30,6 +31,12 @@ def test_a_commit_is_measured_from_its_own_files_with_these_benchmarks(tmp_path)
     assert (tree / "service/cell/cell.py").is_file()
     here = comparison.ROOT / "benchmarks/comparison.py"
     assert (tree / "benchmarks/comparison.py").read_bytes() == here.read_bytes()
+
+
+@needs_the_extension
+def test_a_commit_is_measured_with_its_own_extension(tmp_path) -> None:
+    tree = comparison._check_out("HEAD", tmp_path / "tree")
+    assert list((tree / "sim_backend/world/compiled").glob("_tick*.so"))
 
 
 def test_one_commit_twice_gives_all_figures_of_the_benchmark() -> None:

@@ -21,8 +21,13 @@ DECIDING = (
         for name in ("action", "contract", "model", "observation", "onnx_file", "step", "window")
     ),
     *(f"service/safety/{name}.py" for name in ("bounds", "dsl", "pose")),
-    *(f"sim_backend/world/{name}.py" for name in ("arm", "compliance", "conditions", "kinematics", "parts")),
-    *(f"sim_backend/world/{name}.py" for name in ("quaternion", "scene", "sensor", "servo", "world")),
+    *(f"sim_backend/world/{name}.py" for name in ("arm", "compliance", "conditions", "kinematics", "linear", "parts")),
+    *(f"sim_backend/world/{name}.py" for name in ("quaternion", "scene", "sensor", "servo", "telling", "world")),
+    *(f"sim_backend/world/compiled/{name}.py" for name in ("__init__", "sources")),
+    *(f"sim_backend/world/compiled/{name}.c" for name in ("arm", "cells", "joint_sense", "kinematics", "module")),
+    *(f"sim_backend/world/compiled/{name}.c" for name in ("quaternion", "sensor", "telling")),
+    *(f"sim_backend/world/compiled/{name}.h" for name in ("arm", "cells", "functions", "joint_sense", "kinematics")),
+    *(f"sim_backend/world/compiled/{name}.h" for name in ("linear", "quaternion", "rows", "sensor", "telling")),
     *(f"wire/{name}.py" for name in ("law", "limits", "pose", "records", "task")),
     "training/evaluation/evaluate.py",
     *(f"training/environment/{name}.py" for name in ("insertion", "reward")),
@@ -32,7 +37,7 @@ DEPLOYED = (
     *(
         f"{package}/**/*.{kind}"
         for package in ("wire", "service", "sim_backend")
-        for kind in ("py", "urscript", "lark")
+        for kind in ("py", "urscript", "lark", "c", "h")
     ),
     "training/evaluation/through_service.py",
 )

@@ -1,0 +1,122 @@
+"""The compiled tick: what numpy does in `arm`, `sensor` and `world` at every tick, in C and bit for bit the same.
+
+The numpy code is the specification, and all there is where the extension is not built. Installation builds it if the
+machine has a C compiler. `docs/explanation/decisions/0027-a-compiled-tick.md` has the reasons and the figures.
+"""
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, Protocol, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from sim_backend.world.compiled import sources
+from wire.arrays import BoolArray, FloatArray
+
+Arrays = tuple[npt.NDArray[Any], ...]
+"""Arrays of one object, in the order of the extension's names; one row per cell."""
+
+
+class Tick(Protocol):
+    """Functions of the extension. They check types and shapes and write into the arrays that they are given."""
+
+    SOURCES: str
+    ARM: tuple[str, ...]
+    SENSOR: tuple[str, ...]
+    CELLS: tuple[str, ...]
+    DRIVES: tuple[str, ...]
+    TELLING: tuple[str, ...]
+    REPORT: tuple[str, ...]
+    ARM_CONSTANTS: Mapping[str, int]
+    SENSOR_CONSTANTS: Mapping[str, int]
+    CELLS_CONSTANTS: Mapping[str, int]
+    DRIVES_CONSTANTS: Mapping[str, int]
+
+    def lead(
+        self,
+        arm: Arrays,
+        constants: FloatArray,
+        joints: FloatArray,
+        wrench: FloatArray,
+        position: FloatArray,
+        orientation: FloatArray,
+        saturated: BoolArray,
+        /,
+    ) -> int:
+        """Run the first half of `ArmController.update`; return how many Jacobians are to be inverted."""
+        ...
+
+    def follow(self, arm: Arrays, constants: FloatArray, inverses: FloatArray, set_points: FloatArray, /) -> None:
+        """Run the second half, with the inverses of those Jacobians."""
+        ...
+
+    def sense(self, sensor: Arrays, constants: FloatArray, carried: FloatArray, slot: int, /) -> None:
+        """Run `ForceTorqueSensor.sense`, into its array `sensed`."""
+        ...
+
+    def compensate(self, sensor: Arrays, constants: FloatArray, sensed: FloatArray, rotation: FloatArray, /) -> None:
+        """Run the rest of `ForceTorqueSensor.read`."""
+        ...
+
+    def unzeroed(self, sensor: Arrays, constants: FloatArray, rotation: FloatArray, out: FloatArray, /) -> None:
+        """Run `ForceTorqueSensor.unzeroed`."""
+        ...
+
+    def measure(self, cells: Arrays, constants: FloatArray, /) -> None:
+        """Run all of `World._step` between the physics and the sensor."""
+        ...
+
+    def feel(self, drives: Arrays, constants: FloatArray, effort: Arrays, noise: FloatArray, /) -> None:
+        """Run `JointSense.read`; `noise` (1, 6) has unit variance."""
+        ...
+
+    def tell(self, telling: Arrays, report: Arrays, /) -> None:
+        """Run `Telling.write`."""
+        ...
+
+
+def arrays(names: tuple[str, ...], found: Mapping[str, Any]) -> Arrays:
+    """Return the arrays of an object in the order of `names`; `found` has them by name, with `_` if they are private.
+
+    The object must never replace one of them.
+    """
+    return tuple(found[name] if name in found else found[f"_{name}"] for name in names)
+
+
+def constants(sizes: Mapping[str, int], found: Mapping[str, npt.ArrayLike]) -> FloatArray:
+    """Return constants one after another, in the order of `sizes`.
+
+    Raises:
+        ValueError: a constant has another size.
+    """
+    parts = [np.atleast_1d(np.asarray(found[name], np.float64)) for name in sizes]
+    for part, (name, size) in zip(parts, sizes.items(), strict=True):
+        if part.shape != (size,):
+            raise ValueError(f"constant {name} has shape {part.shape}, the extension asks for {size} numbers")
+    return np.concatenate(parts)
+
+
+def load(name: str = f"{__name__}._tick") -> tuple[Tick | None, str]:
+    """Return the extension of that name and "", or None and the reason why it is not used."""
+    try:
+        found = cast(Tick, import_module(name))
+    except ImportError as error:
+        return None, f"it is not built: {error}"
+    if sources.digest() != found.SOURCES:
+        return None, "it was built from other sources"
+    return found, ""
+
+
+tick, absence = load()
+"""The extension, None without it; and why it is not used."""
+
+
+def describe() -> str:
+    """Return a line that says which implementation computes the ticks of worlds made from now on."""
+    if tick is not None:
+        return "simulated ticks: compiled"
+    return (
+        f"simulated ticks: numpy, slower; the compiled tick is not used, {absence}; "
+        "where a C compiler and Python's headers are installed, `make -B setup` builds it"
+    )

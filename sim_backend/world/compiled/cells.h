@@ -1,0 +1,37 @@
+/* world.py: what a tick leaves in MuJoCo's data. */
+#ifndef CELLS_H
+#define CELLS_H
+
+#include "rows.h"
+
+/* Attributes of `World`; the first four are views into MuJoCo's data. */
+#define CELLS_FIELDS(X) \
+    X(qpos, NUMBER, 0, READ) \
+    X(tcp_position, NUMBER, 3, READ) \
+    X(tcp_rotation, NUMBER, 9, READ) \
+    X(load, NUMBER, 6, READ) \
+    X(joints, NUMBER, 6, WRITTEN) \
+    X(position, NUMBER, 3, WRITTEN) \
+    X(rotation, NUMBER, 9, WRITTEN) \
+    X(carried, NUMBER, 6, WRITTEN) \
+    X(ticks, INTEGER, 1, WRITTEN) \
+    X(offset, NUMBER, 3, READ) \
+    X(jitter, NUMBER, 0, READ) \
+    X(estimate, NUMBER, 3, WRITTEN)
+
+#define CELLS_NUMBERS(X) \
+    X(estimate_ticks) \
+    X(camera_frames)
+
+typedef struct {
+    CELLS_FIELDS(AS_ROWS)
+} Cells;
+
+typedef struct {
+    CELLS_NUMBERS(AS_NUMBER)
+} CellsConstants;
+
+/* Count the tick, and take the measured values, the sensor's load and the camera's estimate. */
+void cells_measure(const Cells *cells, const CellsConstants *constants, intptr_t n);
+
+#endif

@@ -1,0 +1,368 @@
+/* The module `_tick`: checks what Python hands over, and calls the arithmetic of the other files. */
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+#define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
+#include <numpy/arrayobject.h>
+#include <numpy/ufuncobject.h>
+
+#include "arm.h"
+#include "cells.h"
+#include "functions.h"
+#include "joint_sense.h"
+#include "sensor.h"
+#include "telling.h"
+
+static const Field ARM[] = {ARM_FIELDS(AS_FIELD)};
+static const Field MEASURED[] = {MEASURED_FIELDS(AS_FIELD)};
+static const Field SENSOR[] = {SENSOR_FIELDS(AS_FIELD)};
+static const Field CELLS[] = {CELLS_FIELDS(AS_FIELD)};
+static const Field DRIVES[] = {DRIVES_FIELDS(AS_FIELD)};
+static const Field EFFORT[] = {EFFORT_FIELDS(AS_FIELD)};
+static const Field TELLING[] = {TELLING_FIELDS(AS_FIELD)};
+static const Field REPORT[] = {REPORT_FIELDS(AS_FIELD)};
+static const Field INVERSES = {"inverses", NUMBER, 36, READ};
+static const Field SET_POINTS = {"set_points", NUMBER, 6, WRITTEN};
+static const Field CARRIED = {"carried", NUMBER, 6, READ};
+static const Field SENSED = {"sensed", NUMBER, 6, READ};
+static const Field ROTATION = {"rotation", NUMBER, 9, READ};
+static const Field UNZEROED = {"unzeroed", NUMBER, 6, WRITTEN};
+static const Constant ARM_CONSTANTS[] = {ARM_NUMBERS(AS_CONSTANT) ARM_VECTORS(AS_CONSTANTS)};
+static const Constant SENSOR_CONSTANTS[] = {SENSOR_NUMBERS(AS_CONSTANT) SENSOR_VECTORS(AS_CONSTANTS)};
+static const Constant DRIVES_CONSTANTS[] = {DRIVES_NUMBERS(AS_CONSTANT) DRIVES_VECTORS(AS_CONSTANTS)};
+static const Constant CELLS_CONSTANTS[] = {CELLS_NUMBERS(AS_CONSTANT)};
+
+#define COUNT(list) ((Py_ssize_t)(sizeof(list) / sizeof *(list)))
+
+/* --- numpy's own functions ---------------------------------------------------------------------------------------- */
+
+typedef struct {
+    PyUFuncGenericFunction loop;
+    void *data;
+} Function;
+
+static Function sine, cosine, arctangent2;
+
+void sines(const double *angles, double *out, intptr_t count)
+{
+    char *arguments[] = {(char *)angles, (char *)out};
+    const npy_intp dimension = count, strides[] = {sizeof(double), sizeof(double)};
+    sine.loop(arguments, &dimension, strides, sine.data);
+}
+
+void cosines(const double *angles, double *out, intptr_t count)
+{
+    char *arguments[] = {(char *)angles, (char *)out};
+    const npy_intp dimension = count, strides[] = {sizeof(double), sizeof(double)};
+    cosine.loop(arguments, &dimension, strides, cosine.data);
+}
+
+double arctangent(double y, double x)
+{
+    double out;
+    char *arguments[] = {(char *)&y, (char *)&x, (char *)&out};
+    const npy_intp dimension = 1, strides[] = {sizeof y, sizeof x, sizeof out};
+    arctangent2.loop(arguments, &dimension, strides, arctangent2.data);
+    return out;
+}
+
+/* Take the loop over doubles of one of numpy's functions. Return -1 with an exception if numpy has none. */
+static int take(PyObject *numpy, const char *name, Function *function)
+{
+    PyObject *found = PyObject_GetAttrString(numpy, name);
+    if (found == NULL)
+        return -1;
+    if (PyObject_TypeCheck(found, &PyUFunc_Type)) {
+        const PyUFuncObject *ufunc = (PyUFuncObject *)found;
+        for (int k = 0; k < ufunc->ntypes && ufunc->functions != NULL; k++) {
+            int doubles = 1;
+            for (int argument = 0; argument < ufunc->nargs; argument++)
+                doubles &= ufunc->types[k * ufunc->nargs + argument] == NPY_DOUBLE;
+            if (doubles && ufunc->functions[k] != NULL) {
+                *function = (Function){ufunc->functions[k], ufunc->data == NULL ? NULL : (void *)ufunc->data[k]};
+                Py_DECREF(found); /* the module numpy keeps it */
+                return 0;
+            }
+        }
+    }
+    Py_DECREF(found);
+    PyErr_Format(PyExc_ImportError, "numpy.%s has no loop over doubles", name);
+    return -1;
+}
+
+/* --- arguments ---------------------------------------------------------------------------------------------------- */
+
+static int number_of(Kind kind)
+{
+    switch (kind) {
+    case TRUTH:
+        return NPY_BOOL;
+    case INTEGER:
+        return NPY_INT64;
+    case SINGLE:
+        return NPY_FLOAT;
+    default:
+        return NPY_DOUBLE;
+    }
+}
+
+/* Take the rows of an array with `*n` rows, any number if that is negative. Return -1 with an exception if it is not
+   what `field` asks for. */
+static int take_rows(PyObject *given, const Field *field, Rows *rows, npy_intp *n)
+{
+    if (!PyArray_Check(given)) {
+        PyErr_Format(PyExc_TypeError, "%s is not an array", field->name);
+        return -1;
+    }
+    PyArrayObject *array = (PyArrayObject *)given;
+    int dimensions = PyArray_NDIM(array);
+    npy_intp size = 1, step = PyArray_ITEMSIZE(array);
+    int packed = dimensions > 0 && PyArray_TYPE(array) == number_of(field->kind) && PyArray_ISBEHAVED_RO(array);
+    for (int k = dimensions - 1; packed && k > 0; k--) {
+        packed = PyArray_DIM(array, k) == 1 || PyArray_STRIDE(array, k) == step;
+        size *= PyArray_DIM(array, k);
+        step *= PyArray_DIM(array, k);
+    }
+    if (packed && *n < 0)
+        *n = PyArray_DIM(array, 0);
+    if (!packed || PyArray_DIM(array, 0) < *n || (field->size > 0 && size != field->size)) {
+        PyErr_Format(PyExc_TypeError, "%s has another type, shape or layout", field->name);
+        return -1;
+    }
+    if (field->access == WRITTEN && !PyArray_ISWRITEABLE(array)) {
+        PyErr_Format(PyExc_TypeError, "%s is read-only", field->name);
+        return -1;
+    }
+    *rows = (Rows){PyArray_BYTES(array), PyArray_STRIDE(array, 0)};
+    return 0;
+}
+
+/* Take all arrays of a tuple; a structure of rows is an array of them. */
+static int take_all(PyObject *tuple, const Field *fields, Py_ssize_t count, Rows *rows, npy_intp *n)
+{
+    if (!PyTuple_Check(tuple) || PyTuple_Size(tuple) != count) {
+        PyErr_Format(PyExc_TypeError, "not a tuple of %zd arrays", count);
+        return -1;
+    }
+    for (Py_ssize_t k = 0; k < count; k++)
+        if (take_rows(PyTuple_GetItem(tuple, k), &fields[k], &rows[k], n) < 0)
+            return -1;
+    return 0;
+}
+
+/* Return the constants in an array of `bytes`, or NULL with an exception. */
+static const void *take_constants(PyObject *given, size_t bytes)
+{
+    if (PyArray_Check(given)) {
+        PyArrayObject *array = (PyArrayObject *)given;
+        if (PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array) && (size_t)PyArray_NBYTES(array) == bytes)
+            return PyArray_DATA(array);
+    }
+    PyErr_SetString(PyExc_TypeError, "the constants are not an array of their size");
+    return NULL;
+}
+
+static int has(Py_ssize_t count, Py_ssize_t wanted)
+{
+    if (count == wanted)
+        return 1;
+    PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", count, wanted);
+    return 0;
+}
+
+/* --- functions ---------------------------------------------------------------------------------------------------- */
+
+static PyObject *lead(PyObject *self, PyObject *const *given, Py_ssize_t count)
+{
+    (void)self;
+    Arm arm;
+    Measured measured;
+    npy_intp n = -1;
+    if (!has(count, 2 + COUNT(MEASURED)) || take_all(given[0], ARM, COUNT(ARM), (Rows *)&arm, &n) < 0)
+        return NULL;
+    const ArmConstants *constants = take_constants(given[1], sizeof *constants);
+    if (constants == NULL)
+        return NULL;
+    for (Py_ssize_t k = 0; k < COUNT(MEASURED); k++)
+        if (take_rows(given[2 + k], &MEASURED[k], (Rows *)&measured + k, &n) < 0)
+            return NULL;
+    return PyLong_FromSsize_t(arm_lead(&arm, constants, &measured, n));
+}
+
+static PyObject *follow(PyObject *self, PyObject *const *given, Py_ssize_t count)
+{
+    (void)self;
+    Arm arm;
+    Rows inverses, set_points;
+    npy_intp n = -1, due = 0;
+    if (!has(count, 4) || take_all(given[0], ARM, COUNT(ARM), (Rows *)&arm, &n) < 0)
+        return NULL;
+    const ArmConstants *constants = take_constants(given[1], sizeof *constants);
+    if (constants == NULL)
+        return NULL;
+    for (npy_intp cell = 0; cell < n; cell++)
+        due += *integer(arm.phase, cell) == 0;
+    if (take_rows(given[2], &INVERSES, &inverses, &due) < 0 || take_rows(given[3], &SET_POINTS, &set_points, &n) < 0)
+        return NULL;
+    arm_follow(&arm, constants, inverses, set_points, n);
+    Py_RETURN_NONE;
+}
+
+static PyObject *sense(PyObject *self, PyObject *const *given, Py_ssize_t count)
+{
+    (void)self;
+    Sensor sensor;
+    Rows carried;
+    npy_intp n = -1;
+    if (!has(count, 4) || take_all(given[0], SENSOR, COUNT(SENSOR), (Rows *)&sensor, &n) < 0)
+        return NULL;
+    const SensorConstants *constants = take_constants(given[1], sizeof *constants);
+    if (constants == NULL || take_rows(given[2], &CARRIED, &carried, &n) < 0)
+        return NULL;
+    Py_ssize_t slot = PyLong_AsSsize_t(given[3]);
+    if (slot == -1 && PyErr_Occurred())
+        return NULL;
+    sensor_sense(&sensor, constants, carried, slot, n);
+    Py_RETURN_NONE;
+}
+
+static PyObject *compensate(PyObject *self, PyObject *const *given, Py_ssize_t count)
+{
+    (void)self;
+    Sensor sensor;
+    Rows sensed, rotation;
+    npy_intp n = -1;
+    if (!has(count, 4) || take_all(given[0], SENSOR, COUNT(SENSOR), (Rows *)&sensor, &n) < 0)
+        return NULL;
+    const SensorConstants *constants = take_constants(given[1], sizeof *constants);
+    if (constants == NULL || take_rows(given[2], &SENSED, &sensed, &n) < 0 ||
+        take_rows(given[3], &ROTATION, &rotation, &n) < 0)
+        return NULL;
+    sensor_compensate(&sensor, constants, sensed, rotation, n);
+    Py_RETURN_NONE;
+}
+
+static PyObject *unzeroed(PyObject *self, PyObject *const *given, Py_ssize_t count)
+{
+    (void)self;
+    Sensor sensor;
+    Rows rotation, out;
+    npy_intp n = -1;
+    if (!has(count, 4) || take_all(given[0], SENSOR, COUNT(SENSOR), (Rows *)&sensor, &n) < 0)
+        return NULL;
+    const SensorConstants *constants = take_constants(given[1], sizeof *constants);
+    if (constants == NULL || take_rows(given[2], &ROTATION, &rotation, &n) < 0 ||
+        take_rows(given[3], &UNZEROED, &out, &n) < 0)
+        return NULL;
+    sensor_unzeroed(&sensor, constants, rotation, out, n);
+    Py_RETURN_NONE;
+}
+
+static PyObject *feel(PyObject *self, PyObject *const *given, Py_ssize_t count)
+{
+    (void)self;
+    Drives drives;
+    Effort effort;
+    npy_intp n = -1;
+    if (!has(count, 4) || take_all(given[0], DRIVES, COUNT(DRIVES), (Rows *)&drives, &n) < 0)
+        return NULL;
+    const DrivesConstants *constants = take_constants(given[1], sizeof *constants);
+    if (constants == NULL || take_all(given[2], EFFORT, COUNT(EFFORT) - 1, (Rows *)&effort, &n) < 0 ||
+        take_rows(given[3], &EFFORT[COUNT(EFFORT) - 1], &effort.noise, &n) < 0)
+        return NULL;
+    drives_read(&drives, constants, &effort, n);
+    Py_RETURN_NONE;
+}
+
+static PyObject *tell(PyObject *self, PyObject *const *given, Py_ssize_t count)
+{
+    (void)self;
+    Telling telling;
+    Report report;
+    npy_intp n = -1;
+    if (!has(count, 2) || take_all(given[0], TELLING, COUNT(TELLING), (Rows *)&telling, &n) < 0 ||
+        take_all(given[1], REPORT, COUNT(REPORT), (Rows *)&report, &n) < 0)
+        return NULL;
+    telling_fill(&telling, &report, n);
+    Py_RETURN_NONE;
+}
+
+static PyObject *measure(PyObject *self, PyObject *const *given, Py_ssize_t count)
+{
+    (void)self;
+    Cells cells;
+    npy_intp n = -1;
+    if (!has(count, 2) || take_all(given[0], CELLS, COUNT(CELLS), (Rows *)&cells, &n) < 0)
+        return NULL;
+    const CellsConstants *constants = take_constants(given[1], sizeof *constants);
+    if (constants == NULL)
+        return NULL;
+    cells_measure(&cells, constants, n);
+    Py_RETURN_NONE;
+}
+
+#define FAST(function) {#function, (PyCFunction)(void (*)(void))function, METH_FASTCALL, NULL}
+
+static PyMethodDef methods[] = {
+    FAST(lead),
+    FAST(follow),
+    FAST(sense),
+    FAST(compensate),
+    FAST(unzeroed),
+    FAST(measure),
+    FAST(feel),
+    FAST(tell),
+    {NULL},
+};
+
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, .m_name = "_tick", .m_size = -1, .m_methods = methods};
+
+/* --- names, sizes and order for Python ---------------------------------------------------------------------------- */
+
+static int add_fields(PyObject *module, const char *name, const Field *fields, Py_ssize_t count)
+{
+    PyObject *names = PyTuple_New(count);
+    for (Py_ssize_t k = 0; names != NULL && k < count; k++)
+        if (PyTuple_SetItem(names, k, PyUnicode_FromString(fields[k].name)) < 0)
+            return -1;
+    int failed = names == NULL || PyModule_AddObjectRef(module, name, names) < 0;
+    Py_XDECREF(names);
+    return failed ? -1 : 0;
+}
+
+static int add_constants(PyObject *module, const char *name, const Constant *constants, Py_ssize_t count)
+{
+    PyObject *sizes = PyDict_New();
+    for (Py_ssize_t k = 0; sizes != NULL && k < count; k++) {
+        PyObject *size = PyLong_FromSsize_t(constants[k].size);
+        if (size == NULL || PyDict_SetItemString(sizes, constants[k].name, size) < 0)
+            return -1;
+        Py_DECREF(size);
+    }
+    int failed = sizes == NULL || PyModule_AddObjectRef(module, name, sizes) < 0;
+    Py_XDECREF(sizes);
+    return failed ? -1 : 0;
+}
+
+PyMODINIT_FUNC PyInit__tick(void)
+{
+    import_array();
+    import_umath();
+    PyObject *numpy = PyImport_ImportModule("numpy");
+    if (numpy == NULL || take(numpy, "sin", &sine) < 0 || take(numpy, "cos", &cosine) < 0 ||
+        take(numpy, "arctan2", &arctangent2) < 0)
+        return NULL;
+    PyObject *module = PyModule_Create(&definition);
+    if (module == NULL || PyModule_AddStringConstant(module, "SOURCES", SOURCES) < 0 ||
+        add_fields(module, "ARM", ARM, COUNT(ARM)) < 0 || add_fields(module, "SENSOR", SENSOR, COUNT(SENSOR)) < 0 ||
+        add_fields(module, "CELLS", CELLS, COUNT(CELLS)) < 0 ||
+        add_fields(module, "DRIVES", DRIVES, COUNT(DRIVES)) < 0 ||
+        add_fields(module, "TELLING", TELLING, COUNT(TELLING)) < 0 ||
+        add_fields(module, "REPORT", REPORT, COUNT(REPORT)) < 0 ||
+        add_constants(module, "DRIVES_CONSTANTS", DRIVES_CONSTANTS, COUNT(DRIVES_CONSTANTS)) < 0 ||
+        add_constants(module, "ARM_CONSTANTS", ARM_CONSTANTS, COUNT(ARM_CONSTANTS)) < 0 ||
+        add_constants(module, "SENSOR_CONSTANTS", SENSOR_CONSTANTS, COUNT(SENSOR_CONSTANTS)) < 0 ||
+        add_constants(module, "CELLS_CONSTANTS", CELLS_CONSTANTS, COUNT(CELLS_CONSTANTS)) < 0)
+        return NULL;
+    return module;
+}

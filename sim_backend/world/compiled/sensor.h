@@ -1,0 +1,52 @@
+/* sensor.py: one reading of n force/torque sensors, in the two steps of `ForceTorqueSensor.read`. */
+#ifndef SENSOR_H
+#define SENSOR_H
+
+#include "rows.h"
+
+/* Attributes of `ForceTorqueSensor`. */
+#define SENSOR_FIELDS(X) \
+    X(tick, INTEGER, 1, WRITTEN) \
+    X(delay, INTEGER, 1, READ) \
+    X(history, NUMBER, 0, WRITTEN) \
+    X(noise, SINGLE, 0, READ) \
+    X(bias, NUMBER, 6, READ) \
+    X(drift, NUMBER, 6, READ) \
+    X(zero, NUMBER, 6, READ) \
+    X(average, NUMBER, 6, WRITTEN) \
+    X(sensed, NUMBER, 6, WRITTEN) \
+    X(raw, NUMBER, 6, WRITTEN) \
+    X(wrench, NUMBER, 6, WRITTEN) \
+    X(saturated, TRUTH, 1, WRITTEN)
+
+#define SENSOR_NUMBERS(X) \
+    X(max_delay) \
+    X(noise_rows) \
+    X(drift_ticks) \
+    X(zero_ticks) \
+    X(weight)
+
+#define SENSOR_VECTORS(X) \
+    X(range, 6) \
+    X(com, 3) \
+    X(tcp, 3)
+
+typedef struct {
+    SENSOR_FIELDS(AS_ROWS)
+} Sensor;
+
+typedef struct {
+    SENSOR_NUMBERS(AS_NUMBER)
+    SENSOR_VECTORS(AS_VECTOR)
+} SensorConstants;
+
+/* `sense`: from the true load on the flange (n, 6) to `sensed`; `slot` is that of this reading. */
+void sensor_sense(const Sensor *sensor, const SensorConstants *constants, Rows carried, intptr_t slot, intptr_t n);
+
+/* The latest reading as `wrench` without any zero, into rows (n, 6). */
+void sensor_unzeroed(const Sensor *sensor, const SensorConstants *constants, Rows rotation, Rows out, intptr_t n);
+
+/* From what was sensed (n, 6) and the flange's orientation (n, 3, 3) to `raw`, `wrench` and `saturated`. */
+void sensor_compensate(const Sensor *sensor, const SensorConstants *constants, Rows sensed, Rows rotation, intptr_t n);
+
+#endif

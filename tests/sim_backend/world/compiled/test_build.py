@@ -1,0 +1,102 @@
+"""The extension is built where there is a compiler; without it, or with one of other sources, numpy computes."""
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim_backend.world import compiled
+from sim_backend.world.compiled import sources
+from sim_backend.world.world import World
+from tests.sim_backend.world.compiled.twins import needs_the_extension
+
+ROOT = Path(__file__).resolve().parents[4]
+COMPILER = str(sysconfig.get_config_var("CC") or "cc").split()[0]
+
+
+def build(folder: Path, compiler: str | None = None) -> list[Path]:
+    """Build as an installation does, into a folder; return what was built."""
+    pytest.importorskip("setuptools")
+    program = [sys.executable, "setup.py", "--quiet", "build_ext", f"--build-lib={folder}", f"--build-temp={folder}/o"]
+    environment = os.environ | ({"CC": compiler, "LDSHARED": f"{compiler} -shared"} if compiler else {})
+    done = subprocess.run(program, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0, done.stderr
+    return sorted(folder.rglob("*.so"))
+
+
+@pytest.mark.skipif(shutil.which(COMPILER) is None, reason=f"there is no {COMPILER}")
+def test_an_installation_builds_the_extension_of_the_present_sources(tmp_path: Path) -> None:
+    (built,) = build(tmp_path)
+    program = f"import sys; sys.path.insert(0, {str(built.parent)!r}); import _tick; print(_tick.SOURCES)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip() == sources.digest(), done.stderr
+
+
+def test_without_a_compiler_an_installation_goes_on(tmp_path: Path) -> None:
+    assert build(tmp_path, compiler="/no/such/compiler") == []
+
+
+def test_an_extension_that_is_not_there_is_said_to_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    tick, absence = compiled.load("sim_backend.world.compiled._not_built")
+    assert tick is None
+    monkeypatch.setattr(compiled, "tick", tick)
+    monkeypatch.setattr(compiled, "absence", absence)
+    assert "not built" in compiled.describe()
+    assert "make -B setup" in compiled.describe()
+
+
+@needs_the_extension
+def test_an_extension_of_other_sources_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert compiled.load() == (compiled.tick, "")
+    monkeypatch.setattr(sources, "digest", lambda: "of a later file")
+    assert compiled.load() == (None, "it was built from other sources")
+
+
+@needs_the_extension
+def test_what_computes_the_ticks_is_said() -> None:
+    assert compiled.describe() == "simulated ticks: compiled"
+
+
+def test_a_file_of_c_that_changes_changes_the_digest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for path in sources.FOLDER.glob("*.[ch]"):
+        shutil.copy(path, tmp_path)
+    before = sources.digest()
+    monkeypatch.setattr(sources, "FOLDER", tmp_path)
+    assert sources.digest() == before
+    with (tmp_path / "linear.h").open("a") as file:
+        file.write("\n")
+    assert sources.digest() != before
+
+
+@needs_the_extension
+def test_arrays_that_do_not_fit_are_refused_before_anything_is_written() -> None:
+    world = World(2)
+    arm, tick = world.arm, compiled.tick
+    assert tick is not None
+    good = [world.joints, world.sensor.wrench, world.position, np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)), np.zeros(2, bool)]
+    before = arm._age.copy()
+    for place, bad in (
+        (0, good[0][:1]),
+        (0, good[0].astype(np.float32)),
+        (1, good[1].T.copy().T),
+        (2, good[2][:, :2]),
+        (3, [1.0, 0.0, 0.0, 0.0]),
+        (4, np.zeros(2)),
+    ):
+        given = [*good[:place], bad, *good[place + 1 :]]
+        with pytest.raises(TypeError, match=r"array|layout"):
+            tick.lead(arm._arrays, arm._constants, *given)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="tuple"):
+        tick.lead(arm._arrays[:-1], arm._constants, *good)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="constants"):
+        tick.lead(arm._arrays, arm._constants[1:], *good)  # type: ignore[arg-type]
+    frozen = np.zeros((2, 6))
+    frozen.setflags(write=False)
+    with pytest.raises(TypeError, match="read-only"):
+        tick.follow(arm._arrays, arm._constants, arm._jacobians, frozen)
+    assert (arm._age == before).all()
