@@ -89,13 +89,18 @@ class Link:
 
 
 class Network:
-    """Every session of one universe. Sessions that name a common endpoint hear each other."""
+    """Every session of one universe. Sessions that name a common endpoint hear each other.
+
+    Attributes:
+        heard: key and content of every query, as somebody on the network can record them.
+    """
 
     def __init__(self, loop: VirtualLoop, chance: random.Random) -> None:
         self.loop = loop
         self.chance = chance
         self.sessions: list[Session] = []
         self.links: dict[tuple[str, str], Link] = {}
+        self.heard: list[tuple[str, bytes]] = []
         self.sent = 0
 
     def link(self, source: str, target: str) -> Link:
@@ -223,6 +228,8 @@ class Session:
             asked.finish()
             return
         self.asked.append(asked)
+        if payload:
+            self.network.heard.append((key, bytes(payload)))
         self.network.loop.call_later(timeout, asked.time_out, context=self.place.context.copy())
         for peer in self.network.peers(self):
             for queryable in peer.queryables:
