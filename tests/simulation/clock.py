@@ -293,6 +293,8 @@ class Thread:
             pass
         finally:
             self._ended = True
+            if self in self._loop.threads:
+                self._loop.threads.remove(self)
             for wake in self._joining:
                 wake()
 

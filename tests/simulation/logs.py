@@ -43,6 +43,10 @@ class LogTarget:
         writer = self._writers.get(clock.here().process)
         return None if writer is None else writer.fault
 
+    def forget(self) -> None:
+        """Drop every writer."""
+        self._writers.clear()
+
     def _logger(self, *_: Any) -> Any:
         process = clock.here().process
         if process not in self._writers:

@@ -168,6 +168,11 @@ class LightCell:
     # --- time
 
     def tick(self) -> RecordArray:
+        self.pass_tick()
+        return self.state()
+
+    def pass_tick(self) -> None:
+        """Let a tick pass of which nothing is told."""
         self.seq += 1
         self.age += 1
         self.halted += 1
@@ -178,7 +183,6 @@ class LightCell:
             before = self.position[i]
             self.position[i] = before + (self.reference[i] - before) * (TICK_S / SERVO_S)
             self.velocity[i] = (self.position[i] - before) / TICK_S
-        return self.state()
 
     def _contact(self) -> list[float]:
         """Return the true force on the tip, N."""

@@ -289,7 +289,7 @@ class Universe:
 
     def _end(self) -> None:
         """Take everything apart without running it on."""
-        for thread in self.loop.threads:
+        for thread in list(self.loop.threads):
             with contextlib.suppress(Exception):
                 thread.end()
         self.loop.threads.clear()
@@ -305,6 +305,10 @@ class Universe:
         self.loop.forget()
         self.network.sessions.clear()
         self.processes.clear()
+        self.told_to_end.clear()
+        self.starts.clear()
+        self._stranger = None
+        self.host.log.forget()
         self.operator = Process(self.loop, "nobody")
         self.cell = self._app = None
         hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
@@ -334,7 +338,7 @@ class Watched:
 
     def tick(self) -> Any:
         for _ in range(self._universe.dozed_ticks):
-            self._plant.tick()
+            self._plant.pass_tick()
         record = self._plant.tick()
         self._universe.judge()
         return record
