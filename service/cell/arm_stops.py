@@ -17,6 +17,8 @@ ARM_STOPS: dict[StopReason, FaultCode] = {
     StopReason.PROGRAM_ENDED: FaultCode.AUTHORITY,
 }
 """Fault of a run for each reason for which the arm's own controller stops."""
+ENDED = " (the control program was ended from elsewhere, or by its watchdog because this host was late)"
+"""What may be behind the end of a program that gave no reason."""
 
 
 def why_not_drive(sample: Sample, *, engaged: bool) -> Halt | None:
@@ -33,5 +35,6 @@ def why_not_drive(sample: Sample, *, engaged: bool) -> Halt | None:
         return Halt(FaultCode.AUTHORITY, f"the arm is not ours to move: {modes}")
     if engaged and sample.program is not Program.ENGAGED:
         reason = sample.stop_reason
-        return Halt(ARM_STOPS[reason], f"the arm's controller stopped by itself: {reason.name}")
+        cause = ENDED if reason is StopReason.PROGRAM_ENDED else ""
+        return Halt(ARM_STOPS[reason], f"the arm's controller stopped by itself: {reason.name}{cause}")
     return None

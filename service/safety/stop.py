@@ -50,7 +50,7 @@ class StopParameters:
 class StopConfirmation:
     """Watches one stop from its command on. CONFIRMED and UNCONFIRMED are final."""
 
-    __slots__ = ("_commanded_at", "_parameters", "_speed", "_state", "_still_since")
+    __slots__ = ("_commanded_at", "_parameters", "_state", "_still_since")
 
     def __init__(self, parameters: StopParameters, now: float) -> None:
         """Begin to watch.
@@ -62,13 +62,7 @@ class StopConfirmation:
         self._parameters = parameters
         self._commanded_at = now
         self._still_since: float | None = None
-        self._speed: float | None = None
         self._state = StopState.WAITING
-
-    @property
-    def last_speed_mps(self) -> float | None:
-        """Newest finite measured TCP speed, m/s; None before the first."""
-        return self._speed
 
     def observe(self, velocity: FloatArray, now: float) -> StopState:
         """Take in the velocity of a new sample.
@@ -79,8 +73,6 @@ class StopConfirmation:
         """
         vx, vy, vz, wx, wy, wz = velocity.tolist()
         linear, angular = hypot(vx, vy, vz), hypot(wx, wy, wz)
-        if isfinite(linear):
-            self._speed = linear
         # A comparison with NaN is False, so NaN counts as moving
         still = linear < self._parameters.linear_mps and angular < self._parameters.angular_radps
         if not still:

@@ -4,6 +4,7 @@ import os
 import random
 import secrets
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Callable, Generator
@@ -120,6 +121,12 @@ SIGNALS = SimpleNamespace(
 """Stands in for `signal` in the API."""
 
 
+def _here_only(virtual: Callable[..., Any], real: Callable[..., Any]) -> Callable[..., Any]:
+    """The virtual clock for the universe, which is one thread of the system; the real one for any other thread."""
+    universe = threading.get_ident()
+    return lambda *args: (virtual if threading.get_ident() == universe else real)(*args)
+
+
 def changes(host: Host, dozed_ticks: Callable[[], int]) -> list[Change]:
     """Everything that is put under the real code, as (owner, name, substitute).
 
@@ -134,9 +141,9 @@ def changes(host: Host, dozed_ticks: Callable[[], int]) -> list[Change]:
     return [
         *_defaults(host),
         *host.log.changes(),
-        (time, "time", host.time_of_day),
-        (time, "monotonic", host.monotonic),
-        (time, "sleep", clock.sleep),
+        (time, "time", _here_only(host.time_of_day, time.time)),
+        (time, "monotonic", _here_only(host.monotonic, time.monotonic)),
+        (time, "sleep", _here_only(clock.sleep, time.sleep)),
         (os, "fsync", host.disk.fsync),
         (secrets, "token_hex", lambda size=16: f"{chance.getrandbits(8 * size):0{2 * size}x}"),
         (secrets, "randbelow", chance.randrange),

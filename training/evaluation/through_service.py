@@ -24,7 +24,7 @@ from typing import Any
 import zenoh
 
 from service.client import CellClient, CellError, CellRefusedError
-from service.messages import CellState, ResetRequest, Run, RunState, StartRequest
+from service.messages import CellState, RefusalReason, ResetRequest, Run, RunState, StartRequest
 from service.program import PROGRAM, command
 from sim_backend.world.scene import NOMINAL_HOLE_M, PAYLOAD_COM_M, PAYLOAD_KG, TCP_OFFSET_M
 from sim_backend.world.world import START_POSITION_M, START_YAW_RAD
@@ -45,6 +45,8 @@ RUN_S = 300.0
 SAMPLE_AGE_S = 0.08
 """Age of a sample at which the cell of a general-purpose host stops, as in the shipped configurations."""
 POLL_S = 0.05
+PASSING_REFUSALS = frozenset({RefusalReason.WRONG_STATE, RefusalReason.NO_MEASUREMENT, RefusalReason.LATCHED})
+"""Why a ready cell may refuse a start after all: a busy host's measurement was late. No run has begun then."""
 STOP_S = 5.0
 
 
@@ -249,9 +251,7 @@ async def _play(
 
 
 async def _play_one(seed: int, setting: Setting, cell: CellClient, session: zenoh.Session) -> ServiceEpisode:
-    await _await_ready(cell)
-    started = await cell.start(StartRequest(recipe=RECIPE, seed=seed, requested_by=REQUESTED_BY))
-    run = started.run
+    run = await _started(cell, seed)
     try:
         async with asyncio.timeout(RUN_S):
             while (run := await cell.run(run.id)).state is RunState.ACTIVE:
@@ -291,15 +291,28 @@ def judged(truth: dict[str, Any], seed: int, setting: Setting, run: Run) -> Serv
     return ServiceEpisode(seed, run, depth, inside and run.state is not RunState.LATCHED)
 
 
-async def _await_ready(cell: CellClient) -> None:
-    """Wait until a run may start, and reset a latched cell."""
-    refusal = "it did not become ready"
+async def _started(cell: CellClient, seed: int) -> Run:
+    """Start a run as soon as the cell takes one, and reset a latched cell before."""
     deadline = time.monotonic() + READY_S
+    while True:
+        refusal = await _await_ready(cell, deadline)
+        if time.monotonic() > deadline:
+            raise ServiceError(f"the cell cannot start a run: {refusal}")
+        try:
+            return (await cell.start(StartRequest(recipe=RECIPE, seed=seed, requested_by=REQUESTED_BY))).run
+        except CellRefusedError as error:
+            if error.problem.reason not in PASSING_REFUSALS:
+                raise
+
+
+async def _await_ready(cell: CellClient, deadline: float) -> str:
+    """Wait until a run may start; return why none can if none can by the deadline."""
+    refusal = "it did not become ready"
     while time.monotonic() < deadline:
         try:
             status = await cell.status()
             if status.can_start:
-                return
+                break
             if status.state is CellState.LATCHED:
                 await cell.reset(ResetRequest(requested_by=REQUESTED_BY))
             refusal = status.why_not or refusal
@@ -308,7 +321,7 @@ async def _await_ready(cell: CellClient) -> None:
         except CellError as error:
             refusal = str(error)
         await asyncio.sleep(POLL_S)
-    raise ServiceError(f"the cell cannot start a run: {refusal}")
+    return refusal
 
 
 def _await_line(process: subprocess.Popen[bytes], log: Path) -> dict[str, str]:

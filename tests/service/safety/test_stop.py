@@ -41,7 +41,6 @@ def test_an_arm_that_is_not_seen_is_unconfirmed_at_the_deadline() -> None:
     stop = StopConfirmation(LIMITS, 10.0)
     assert stop.check(10.499) is StopState.WAITING
     assert stop.check(10.5) is StopState.UNCONFIRMED
-    assert stop.last_speed_mps is None
 
 
 @pytest.mark.parametrize("channel", [0, 4])
@@ -55,12 +54,11 @@ def test_standing_too_late_does_not_confirm() -> None:
     assert watch([(0.49, STILL), (0.511, STILL)]) is StopState.UNCONFIRMED
 
 
-def test_the_outcome_is_final_and_the_last_speed_is_kept() -> None:
+def test_the_outcome_is_final() -> None:
     stop = StopConfirmation(LIMITS, 0.0)
     stop.observe(STILL, 0.1)
     assert stop.observe(STILL, 0.13) is StopState.CONFIRMED
     assert stop.observe(MOVING, 0.2) is StopState.CONFIRMED
-    assert stop.last_speed_mps == 0.05
     assert stop.check(9.0) is StopState.CONFIRMED
 
 
