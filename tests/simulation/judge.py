@@ -110,10 +110,12 @@ class Judge:
             self._judge_latch(cell, now)
 
     def _judge_acceptance(self, run: Run, now: float) -> None:
-        """A client that was told no is not surprised by a run afterwards."""
+        """No run begins after its client was told no; only an API that ends does not know."""
         for answer in self.universe.answers:
-            refused = answer.kind == "start" and answer.status is not None and answer.status >= 400
-            if refused and answer.name == run.requested_by and (answer.received_s or 0.0) < now:
+            if answer.kind != "start" or answer.name != run.requested_by or answer.status is None:
+                continue
+            refused = answer.status >= 400 and answer.document.get("reason") != "SHUTTING_DOWN"
+            if refused and (answer.received_s or 0.0) < now:
                 self.violation("late start", f"{answer.name} was answered {answer.status}, then {run.id} began")
 
     def _judge_policy(self, active: ActiveRun, now: float) -> None:
