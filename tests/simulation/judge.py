@@ -54,6 +54,7 @@ class Judge:
         self._told: dict[str, tuple[str, str | None]] = {}
         self._listed: set[str] = set()
         self._held_s = 0.0
+        self._may_lose = False
         self._began_s = 0.0
         self._run_id: str | None = None
         self._owed: tuple[str, int] | None = None
@@ -76,7 +77,8 @@ class Judge:
         return self.universe.plant.seq * TICK_S
 
     def note_fault(self, kind: str, seconds: float) -> None:
-        """Take note of a fault that begins: it excuses what is late."""
+        """Take note of a fault that begins: it excuses what is late, and a cut link what never comes."""
+        self._may_lose |= kind == "cut"
         if kind in HOLDING:
             self._held_s += seconds
 
@@ -176,7 +178,7 @@ class Judge:
 
     def on_answer(self, answer: Answer) -> None:
         taken_s = self.universe.loop.time() - answer.sent_s
-        waited = answer.kind == "stop" and (answer.status is not None or answer.gave_up)
+        waited = answer.kind == "stop" and (answer.status is not None or (answer.gave_up and not self._may_lose))
         if waited and taken_s > ANSWERED_S + self._held_s:
             self.violation("late answer", f"{answer.name} was answered {answer.status} after {taken_s:.3f} s")
         if answer.status is None:
