@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import gc
 import json
+import logging
 import random
 import sys
 import warnings
@@ -154,7 +155,8 @@ class Universe:
                 self.start_api()
                 yield
             finally:
-                self._end()
+                with _unheard():
+                    self._end()
 
     def live(self, work: Coroutine[Any, Any, Any]) -> None:
         """Let time pass until this has been done outside."""
@@ -298,10 +300,9 @@ class Universe:
         for database in self.host.databases:
             if database._connection is not None:
                 database._connection.close()
-        tasks = asyncio.all_tasks(self.loop)
-        for task in tasks:
+        for task in asyncio.all_tasks(self.loop):
             _give_up(task)
-        tasks.clear()
+        task = None  # it would keep the universe alive
         self.loop.forget()
         self.network.sessions.clear()
         self.processes.clear()
@@ -311,14 +312,22 @@ class Universe:
         self.host.log.forget()
         self.operator = Process(self.loop, "nobody")
         self.cell = self._app = None
-        hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # what a killed process left open
-                task = None
-                gc.collect()
-        finally:
-            sys.unraisablehook = hook
+        gc.collect()
+
+
+@contextlib.contextmanager
+def _unheard() -> Generator[None]:
+    """Let nobody hear of what a killed process left open."""
+    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    disabled = logging.root.manager.disable
+    logging.disable()  # a logged traceback would keep a universe alive
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(disabled)
+        sys.unraisablehook = hook
 
 
 def _give_up(task: Any) -> None:
