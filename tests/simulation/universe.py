@@ -17,6 +17,7 @@ import api.control_process
 from api.application import create_app
 from service.cell import process as control_process
 from service.cell.cell import Cell
+from service.cell.journal.ledger import Ledger
 from service.config import CellConfig
 from service.drivers.zenoh_sim import ZenohSimDriver
 from sim_backend.zenoh_cell.server import Pace, Server
@@ -123,6 +124,7 @@ class Universe:
         self.starts: list[tuple[Process, float]] = []
         self.told_to_end: dict[Process, float] = {}
         self._stranger: Stranger | None = None
+        self._ledgers: list[Ledger] = []
         self._app: Any = None
         self._connections: set[Connection] = set()
 
@@ -180,8 +182,9 @@ class Universe:
             kept = control_process.Cell
 
             def make(*args: Any, **kwargs: Any) -> Cell:
-                self.cell = kept(*args, **kwargs)
-                return self.cell
+                self.cell = cell = kept(*args, **kwargs)
+                self._ledgers.append(cell.journal._ledger)
+                return cell
 
             control_process.Cell = make  # type: ignore[misc,assignment]
             try:
@@ -297,6 +300,9 @@ class Universe:
         self.loop.threads.clear()
         for process in (*self.processes.values(), self.operator):
             process.alive = False
+        for file in (file for ledger in self._ledgers for file in ledger._outlived):
+            file.close()  # a process that hangs may hold it for ever
+        self._ledgers.clear()
         for database in self.host.databases:
             if database._connection is not None:
                 database._connection.close()
