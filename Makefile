@@ -82,8 +82,16 @@ run: $(RUNTIME) ## start the simulated cell and insert one peg (ONCE=1: then exi
 # --- checks ---------------------------------------------------------------------------------------------------------
 
 .PHONY: test test-covered coverage nightly lint format docs-check
-test: $(DEV) ## the tests (some ten minutes)
+# Tests that live by the host's clock run alone. The others share the cores. Bytecode is kept, since every process of a
+# test would compile all modules again.
+test: export PYTHONDONTWRITEBYTECODE =
+test: $(DEV) ## the tests (some twenty minutes on two cores; ARGS=tests/wire: these alone)
+ifdef ARGS
 	$(BIN)/python -m pytest $(ARGS)
+else
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not realtime and not nightly"
+	$(BIN)/python -m pytest -m "realtime and not nightly"
+endif
 
 test-covered: $(DEV) ## the same tests under coverage, then a line per package (takes half as long again)
 	$(BIN)/python -m coverage run --source "$$(tr ' ' , <<< '$(PACKAGES)')" -m pytest --timeout 300 $(ARGS)
