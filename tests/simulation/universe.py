@@ -212,9 +212,10 @@ class Universe:
                 connection.break_off()
 
     def terminate(self, name: str) -> None:
-        """Send SIGTERM to a process."""
+        """Send SIGTERM to a process; the world's program, which would obey, is left out."""
         process = self.processes[name]
-        self.told_to_end.setdefault(process, self.loop.time())
+        if 15 in process.signal_handlers:
+            self.told_to_end.setdefault(process, self.loop.time())
         process.signal(15)
 
     @property
