@@ -17,6 +17,8 @@ BRAKING_S = 0.6
 """Time in which an arm stands whose run is gone: its target grows old, its speed limit falls to zero."""
 SETTLED_S = 0.05
 """Time after which a latch must survive a kill: the disk has had it."""
+UNSEEN_S = 0.3
+"""Time after the ledger was taken away in which a kill may lose the run under way: a documented limit."""
 ENDS_S = 3.0
 """Time in which a process that is told to end has ended."""
 ANSWERED_S = 1.1
@@ -55,6 +57,8 @@ class Judge:
         self._listed: set[str] = set()
         self._held_s = 0.0
         self._may_lose = False
+        self._taken_s = -1.0
+        self._unrecorded: set[str | None] = set()
         self._began_s = 0.0
         self._run_id: str | None = None
         self._owed: tuple[str, int] | None = None
@@ -79,6 +83,11 @@ class Judge:
     def note_fault(self, kind: str, seconds: float) -> None:
         """Take note of a fault that begins: it excuses what is late, and a cut link what never comes."""
         self._may_lose |= kind == "cut"
+        now, cell = self.universe.loop.time(), self.universe.cell
+        if kind in ("ledger moved", "state deleted"):
+            self._taken_s = now
+        elif kind in ("kill", "power cut") and now - self._taken_s < UNSEEN_S and cell is not None:
+            self._unrecorded.add(cell.runs.active_id)
         if kind in HOLDING:
             self._held_s += seconds
 
@@ -209,7 +218,7 @@ class Judge:
             listed: the history, as the API tells it last.
         """
         universe = self.universe
-        recorded = ledger_runs(universe)
+        recorded = self._recorded()
         for run in recorded.values():
             if run["state"] == RunState.SUCCEEDED:
                 depth_m = self.deepest.get(run["id"], -1.0)
@@ -236,8 +245,16 @@ class Judge:
 
     def is_told(self, listed: Answer) -> bool:
         """Return True once the history lists every run of the ledger in the ledger's state."""
-        recorded = {run["id"]: run["state"] for run in ledger_runs(self.universe).values()}
+        recorded = {run["id"]: run["state"] for run in self._recorded().values()}
         return listed.status == 200 and {run["id"]: run["state"] for run in listed.document["runs"]} == recorded
+
+    def _recorded(self) -> dict[str, Any]:
+        """Return the runs of the ledger; one whose end may be lost counts as interrupted."""
+        runs = ledger_runs(self.universe)
+        for run_id, run in runs.items():
+            if run_id in self._unrecorded and run["state"] == RunState.ACTIVE:
+                runs[run_id] = run | {"state": RunState.INTERRUPTED, "code": FaultCode.INTERRUPTED}
+        return runs
 
     def _judge_history(self, listed: Answer, recorded: dict[str, Any]) -> None:
         if listed.status != 200:
