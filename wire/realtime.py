@@ -9,7 +9,9 @@ import sys
 import threading
 
 PRIORITY = 40
-"""Priority under SCHED_FIFO: below the kernel's own threads (50), equal for control process and simulator."""
+"""Priority of the control process under SCHED_FIFO: below the kernel's own threads (50)."""
+SIMULATOR_PRIORITY = 30
+"""Priority of a simulator: below the control process that it serves."""
 POLICY_PRIORITY = 20
 """Priority of a policy's process: below the loop that waits for its answer, above all ordinary programs."""
 SWITCH_INTERVAL_S = 5e-4
@@ -17,22 +19,24 @@ SWITCH_INTERVAL_S = 5e-4
 _MCL_CURRENT_AND_FUTURE = 3
 
 
-def request_realtime() -> tuple[str, ...]:
+def request_realtime(priority: int = PRIORITY) -> tuple[str, ...]:
     """Ask for real-time scheduling of this thread and Python's other ones, and for locked memory.
 
     The other threads of Python have it too, lest one of ordinary priority be held up by other programs while it holds
     the interpreter's lock. Threads started afterwards inherit it; those started before by libraries stay as they are.
 
+    Args:
+        priority: under SCHED_FIFO.
+
     Returns:
         One line for each refusal, with its remedy; empty if everything was granted.
     """
     refused: list[str] = []
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         for thread in threading.enumerate():
             with contextlib.suppress(ProcessLookupError):  # it has just ended
-                os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+                os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
         refused.append(
             f"no real-time scheduling ({error.strerror}): a tick may be some milliseconds late; "
@@ -61,12 +65,11 @@ def request_prompt_answers(limit_s: float) -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(POLICY_PRIORITY))
 
 
-def has_realtime_scheduling() -> bool:
-    """Return whether the calling thread runs under SCHED_FIFO."""
-    return os.sched_getscheduler(0) == os.SCHED_FIFO
+def settle_interpreter() -> None:
+    """Keep Python's own pauses shorter than a tick, with or without real-time scheduling.
 
-
-def freeze_garbage() -> None:
-    """Exempt all present objects from garbage collection: one pass over a loaded program lasts longer than a tick."""
+    All present objects are exempt from garbage collection: one pass over a loaded program lasts longer than a tick.
+    """
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     gc.collect()
     gc.freeze()

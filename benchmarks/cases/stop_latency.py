@@ -34,9 +34,9 @@ def measure(scale: float) -> Result:
         ("bare Zenoh echo: there and back", echo),
         ("monitor to driver, in one process", inside),
     ]
-    for name, arguments in (("asked for", ()), ("not asked for", ("ordinary",))):
-        with shipped_cell() as shipped:
-            taken = _on_the_wire(shipped, arguments, max(5, int(40 * scale)))
+    for name, realtime in (("asked for", "true"), ("not asked for", "false")):
+        with shipped_cell(cell__realtime=realtime) as shipped:
+            taken = _on_the_wire(shipped, max(5, int(40 * scale)))
         rows.append((f"on the wire, real-time scheduling {name}", taken))
     reference = median(echo)
     wire = median(rows[2][1])
@@ -95,14 +95,12 @@ async def _state(cell: Cell, *wanted: CellState) -> CellState:
     return cell.state
 
 
-def _on_the_wire(shipped: ShippedCell, arguments: tuple[str, ...], count: int) -> list[float]:
+def _on_the_wire(shipped: ShippedCell, count: int) -> list[float]:
     config = shipped.config
     output = str(config.cell.state_dir / "lateness.npy")
     with (
         running("benchmarks.stands.tripping_world", config.sim.endpoint, config.sim.world),
-        running(
-            "benchmarks.stands.watched_service", output, *arguments, ready="serving", environment=shipped.environment
-        ),
+        running("benchmarks.stands.watched_service", output, ready="serving", environment=shipped.environment),
     ):
         return asyncio.run(stops(shipped, config.sim.endpoint, count))
 

@@ -33,8 +33,8 @@ class TrippingCell(SimulatedCell):
         """Falsify the next sample; called on Zenoh's thread."""
         self._query, self._published_s = query, None
 
-    def tick(self) -> RecordArray:
-        record = super().tick()
+    def tick(self, ticks: int = 1) -> RecordArray:
+        record = super().tick(ticks)
         if self._query is not None and self._published_s is None and record["program"][0] == records.Program.ENGAGED:
             record["wrench"][0, 2] = FORCE_N
             self._published_s = time.perf_counter()

@@ -1,7 +1,7 @@
 """The control process with one addition: it records how late its loop judges each sample.
 
-Run `python -m benchmarks.stands.watched_service OUTPUT [ordinary]`; the environment gives the configuration. `ordinary`
-omits the request for real-time scheduling. At the end it writes the latenesses, in s, to OUTPUT (`.npy`).
+Run `python -m benchmarks.stands.watched_service OUTPUT`; the environment gives the configuration. At the end it writes
+the latenesses, in s, to OUTPUT (`.npy`).
 """
 
 import sys
@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from service.cell import process
 from service.cell.cell import Cell
 from service.commands.control import control
 from service.drivers.base import Sample
 
 
-def main(output: Path, *, ordinary: bool) -> None:
+def main(output: Path) -> None:
     late_s: list[float] = []
     judge = Cell.on_sample
 
@@ -24,8 +23,6 @@ def main(output: Path, *, ordinary: bool) -> None:
         late_s.append(self.driver.clock() - sample.arrival_s)
 
     Cell.on_sample = on_sample
-    if ordinary:
-        process.request_realtime = lambda: ("real-time scheduling was not asked for",)
     try:
         control(None)
     finally:
@@ -33,4 +30,4 @@ def main(output: Path, *, ordinary: bool) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), ordinary="ordinary" in sys.argv[2:])
+    main(Path(sys.argv[1]))

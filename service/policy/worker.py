@@ -29,7 +29,7 @@ HEAD = struct.Struct("<BI")
 """Head of a frame: its kind, and the length of its payload in bytes."""
 PAYLOAD_LIMIT_BYTES = 2**20
 NICENESS = 1
-"""Distance from an ordinary process's priority while it loads, and where the host grants no real-time scheduling."""
+"""Distance from an ordinary process's priority while it loads, and without real-time scheduling."""
 MEMORY_LIMIT_BYTES = 2**30
 """Address space of a worker. Python, numpy and ONNX Runtime take about a quarter of it, a model's file 16 MiB."""
 LONGEST_INFERENCE_S = 2.0
@@ -82,13 +82,14 @@ def decode(received: bytes | bytearray) -> tuple[Kind, bytes] | None:
     return kind, bytes(received[HEAD.size : HEAD.size + length])
 
 
-def serve(connection: socket.socket, path: Path, sha256: str | None) -> None:
+def serve(connection: socket.socket, path: Path, sha256: str | None, *, realtime: bool) -> None:
     """Load a policy, say so, and answer until the parent closes the connection.
 
     Args:
         connection: to the parent.
         path: ONNX file.
         sha256: hex digest that the file must have; None: any.
+        realtime: ask for real-time scheduling.
     """
     try:
         policy = Policy.load(path, expected_sha256=sha256)
@@ -100,7 +101,8 @@ def serve(connection: socket.socket, path: Path, sha256: str | None) -> None:
         text = f"{path} needs more than {MEMORY_LIMIT_BYTES >> 20} MiB"
         connection.sendall(_refusal(PolicyError(PolicyFault.TOO_LARGE, text)))
         return
-    request_prompt_answers(LONGEST_INFERENCE_S)
+    if realtime:
+        request_prompt_answers(LONGEST_INFERENCE_S)
     connection.sendall(encode(Kind.LOADED, json.dumps(loaded).encode()))
     hidden = policy.initial_hidden()
     received = bytearray()
@@ -154,18 +156,19 @@ def _confine(parent: int) -> None:
         resource.setrlimit(what, (most, hard))
 
 
-def main(handle: str, parent: str, path: str, sha256: str) -> None:
+def main(handle: str, parent: str, scheduling: str, path: str, sha256: str) -> None:
     """Serve one policy.
 
     Args:
         handle: number of the inherited socket.
         parent: process id of the parent.
+        scheduling: `realtime` or `ordinary`.
         path: ONNX file.
         sha256: hex digest that the file must have; empty: any.
     """
     _confine(int(parent))
     with socket.socket(fileno=int(handle)) as connection, contextlib.suppress(BrokenPipeError, ConnectionResetError):
-        serve(connection, Path(path), sha256 or None)
+        serve(connection, Path(path), sha256 or None, realtime=scheduling == "realtime")
 
 
 if __name__ == "__main__":

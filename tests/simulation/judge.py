@@ -56,7 +56,7 @@ class Judge:
     @property
     def _world_s(self) -> float:
         """Time of the world, which stands still while its process is frozen."""
-        return self.universe.plant.seq * TICK_S
+        return self.universe.plant.ticks * TICK_S
 
     # --- at every tick
 

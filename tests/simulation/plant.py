@@ -74,6 +74,7 @@ class LightCell:
 
     def __post_init__(self) -> None:
         self.seq = 0
+        self.ticks = 0
         self.episode = 0
         self.truth_force_n = 0.0
         self.client = self.command_seq = 0
@@ -167,8 +168,9 @@ class LightCell:
 
     # --- time
 
-    def tick(self) -> RecordArray:
+    def tick(self, ticks: int = 1) -> RecordArray:
         self.seq += 1
+        self.ticks += ticks
         self.age += 1
         self.halted += 1
         force = self._contact()
@@ -268,7 +270,7 @@ class LightCell:
         x, y, z = (now - then for now, then in zip(self.position, START, strict=True))
         u, v, w = self.velocity
         told = {
-            "time_s": (self.seq * TICK_S,),
+            "time_s": (self.ticks * TICK_S,),
             "q": [joint + a * x + b * y + c * z for joint, (a, b, c) in zip(JOINTS, SLOPES, strict=True)],
             "qd": [a * u + b * v + c * w for a, b, c in SLOPES],
             "tcp_position": self.position,

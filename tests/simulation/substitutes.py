@@ -158,11 +158,11 @@ async def _at_once(function: Callable[..., Any], *args: Any, **kwargs: Any) -> A
 
 def _metronome(host: Host, dozed_ticks: Callable[[], int]) -> Callable[..., Metronome]:
     class Beat(Metronome):
-        def wait(self) -> None:
+        def wait(self, beats: int = 1) -> None:
             dozed_s = dozed_ticks() * self._period_s
             if dozed_s:
                 self._due_s += dozed_s
-            super().wait()
+            super().wait(beats)
 
     return partial(Beat, clock=host.monotonic, sleep=clock.sleep)
 
@@ -213,11 +213,10 @@ def changes(host: Host, dozed_ticks: Callable[[], int]) -> list[Change]:
         (process, "Cell", partial(service.cell.cell.Cell, inference=InlineInference)),
         (service.cell.cell, "InProcessPolicy", policies),
         (process, "request_realtime", tuple),
-        (process, "freeze_garbage", lambda: None),
+        (process, "settle_interpreter", lambda: None),
         (api.application, "signal", signals),
         (server, "Metronome", _metronome(host, dozed_ticks)),
-        (server, "has_realtime_scheduling", lambda: False),
-        (server, "freeze_garbage", lambda: None),
+        (server, "settle_interpreter", lambda: None),
     ]
 
 

@@ -107,6 +107,25 @@ def test_the_file_is_the_one_that_the_environment_names(tmp_path: Path, monkeypa
     assert load().cell.id == "other"
 
 
+def test_a_real_arm_alone_asks_for_real_time_scheduling_unless_the_cell_says_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = {name: load(SHIPPED.with_name(f"{name}.toml")).asks_realtime for name in ("cell", "ur-emulated", "ur3e")}
+    assert asked == {"cell": False, "ur-emulated": False, "ur3e": True}
+    monkeypatch.setenv("DSL_ASSEMBLY__CELL__REALTIME", "true")
+    assert load(SHIPPED).asks_realtime
+    monkeypatch.setenv("DSL_ASSEMBLY__CELL__REALTIME", "false")
+    assert not load(SHIPPED.with_name("ur3e.toml")).asks_realtime
+
+
+def test_an_age_that_the_samples_of_a_resting_world_reach_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, "sample_age_s = 0.08", "sample_age_s = 0.015")
+    with pytest.raises(ConfigError, match=r"limits\.sample_age_s is 0\.015 s, .* at rest it gives a sample every 0\.01"):
+        load(path)
+    path.write_text(path.read_text().replace('"real_time"', '"lockstep"'))
+    load(path)
+
+
 @pytest.mark.parametrize("content", [None, "[cell", "\x00"])
 def test_a_file_that_is_not_there_or_not_toml_is_a_clear_error(tmp_path: Path, content: str | None) -> None:
     path = tmp_path / "cell.toml"
