@@ -17,10 +17,14 @@ POLICY_PRIORITY = 20
 SWITCH_INTERVAL_S = 5e-4
 """Longest time for which one Python thread may hold up another, s; Python's default is 5 ms."""
 _MCL_CURRENT_AND_FUTURE = 3
+_MCL_ONFAULT = 4
 
 
 def request_realtime(priority: int = PRIORITY) -> tuple[str, ...]:
     """Ask for real-time scheduling of this thread and Python's other ones, and for locked memory.
+
+    Memory is locked as it is used, so that unused parts of stacks and libraries take none. A kernel before 4.4 locks
+    everything at once.
 
     The other threads of Python have it too, lest one of ordinary priority be held up by other programs while it holds
     the interpreter's lock. Threads started afterwards inherit it; those started before by libraries stay as they are.
@@ -43,7 +47,7 @@ def request_realtime(priority: int = PRIORITY) -> tuple[str, ...]:
             "raise the rtprio limit of this user, or grant CAP_SYS_NICE to the process"
         )
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_MCL_CURRENT_AND_FUTURE):
+    if libc.mlockall(_MCL_CURRENT_AND_FUTURE | _MCL_ONFAULT) and libc.mlockall(_MCL_CURRENT_AND_FUTURE):
         reason = os.strerror(ctypes.get_errno())
         refused.append(
             f"no locked memory ({reason}): a page fault may delay a tick; raise the memlock limit of this user"
