@@ -11,7 +11,6 @@ from typing import Any
 
 import structlog
 from fastapi import FastAPI
-from fastapi.staticfiles import StaticFiles
 from pydantic.json_schema import models_json_schema
 
 from api import problems
@@ -67,7 +66,7 @@ def build_routes(lifespan: Callable[[FastAPI], Any] | None = None) -> FastAPI:
     _complete_openapi(app)
     for module in (commands, state, runs, streams, page):
         app.include_router(module.router, responses=problems.described(403, 421))
-    app.mount("/page", StaticFiles(directory=page.FOLDER), name="page")
+    app.mount("/page", page.FILES, name="page")
     return app
 
 
