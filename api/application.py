@@ -145,7 +145,7 @@ def create_app(config: CellConfig, path: Path) -> Protection:
 
 
 async def _join_or_start(cell: FollowedCell, control_process: ControlProcess) -> None:
-    if await cell.wait_alive(JOIN_S):
+    if await control_process.may_be_joined() and await cell.wait_alive(JOIN_S):
         _log.info("joined a control process that was there")
         return
     control_process.start()

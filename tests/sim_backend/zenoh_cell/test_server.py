@@ -132,7 +132,7 @@ class States:
             return self.records[seen]
 
     def steps(self, first: int = 0) -> list[int]:
-        """Ticks of time from each state to the next, from the state numbered `first` on; without those that were lost."""
+        """Ticks of time from each state to the next, from the state numbered `first` on; lost ones are left out."""
         pairs = itertools.pairwise(record for record in self.records if record["seq"] >= first)
         return [round((b["time_s"] - a["time_s"]) / records.TICK_S) for a, b in pairs if b["seq"] == a["seq"] + 1]
 
