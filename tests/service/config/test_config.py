@@ -120,7 +120,9 @@ def test_a_real_arm_alone_asks_for_real_time_scheduling_unless_the_cell_says_oth
 
 def test_an_age_that_the_samples_of_a_resting_world_reach_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, "sample_age_s = 0.08", "sample_age_s = 0.015")
-    with pytest.raises(ConfigError, match=r"limits\.sample_age_s is 0\.015 s, .* at rest it gives a sample every 0\.01"):
+    with pytest.raises(
+        ConfigError, match=r"limits\.sample_age_s is 0\.015 s, .* at rest it gives a sample every 0\.01"
+    ):
         load(path)
     path.write_text(path.read_text().replace('"real_time"', '"lockstep"'))
     load(path)
