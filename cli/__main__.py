@@ -48,6 +48,7 @@ COMMANDS = {
     "config": Entry("cli.config:app", "Write, check and describe the configuration of a cell.", PROJECT),
     "openapi": Entry("cli.openapi:openapi", "Print the OpenAPI document of the HTTP interface.", PROJECT),
     "bench": Entry("benchmarks.commands:bench", "Measure this project on this machine.", PROJECT),
+    "bench-compare": Entry("benchmarks.commands:bench_compare", "Measure two commits by turns.", PROJECT),
 }
 
 

@@ -16,6 +16,7 @@ settings.load_profile("without_deadline")
 
 REAL_TIME = (
     "api",
+    "benchmarks",
     "cli",
     "examples",
     "fuzz",
@@ -28,6 +29,7 @@ REAL_TIME = (
     "service/cell/test_deaf_client.py",
     "service/cell/test_forged_commands.py",
     "service/cell/test_kills.py",
+    "service/cell/test_overload.py",
     "service/cell/test_policy_process.py",
     "service/cell/test_process.py",
     "service/cell/test_secured_cell.py",

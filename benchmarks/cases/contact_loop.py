@@ -7,7 +7,7 @@ import itertools
 
 import numpy as np
 
-from benchmarks.harness.result import Result
+from benchmarks.harness.result import Figure, Result
 from service.safety.pose import rotvec_from_yaw
 from sim_backend.world import quaternion
 from sim_backend.world.conditions import FORCE_NOISE_N, draw
@@ -60,6 +60,7 @@ def measure(scale: float) -> Result:
         columns=("damping", "sensor delay, ms", "force, standard deviation, N", "largest force, N"),
         rows=tuple(rows),
         finding=f"At the trained damping and the longest delay the force deviates by {rows[-1][2]} N.",
+        figures=(Figure("deviation at the longest delay", float(rows[-1][2]), "N", 2.0 * FORCE_NOISE_N),),
         method=f"{cells} cells press on the block beside the hole, as the lock does without contact. The noise of the "
         f"sensor is {FORCE_NOISE_N} N per sample. Damping 1.0 is {LAW.damping[2]:g} N·s/m vertically.",
     )

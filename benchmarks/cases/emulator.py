@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.harness.cpu import cpu_s
 from benchmarks.harness.machine import may_use_fifo
 from benchmarks.harness.processes import running
-from benchmarks.harness.result import QUANTILES, Result, UnavailableError, quantiles
+from benchmarks.harness.result import QUANTILES, Figure, Result, UnavailableError, quantiles
 from benchmarks.stands.shipped_cell import ShippedCell
 from benchmarks.stands.ur_cell import HOST, shipped_ur_cell
 from service.drivers.ur import recovery
@@ -82,6 +82,7 @@ def measure(scale: float) -> Result:
         f"{busy_s * 1e6:.0f} µs of its 2000 (median), {busy_s / idle_s:.1f} times that of an idle controller; "
         f"{(busy.late_s > TICK_S).mean():.1%} of the beats come more than a tick late."
         + ("" if may_use_fifo() else " SCHED_FIFO is refused here, so there are no rows with it."),
+        figures=(Figure("beats late by more than a tick, busy", 100.0 * (busy.late_s > TICK_S).mean(), "%", 0.1),),
         method=f"{seconds:.0f} s per row of `dsl-assembly sim ur-controller` in real time, recorded inside it: "
         "how late each beat of 2 ms begins, and how long its tick takes, clients' input and output included; CPU time "
         "of the whole process. Each client takes packages at 500 Hz; clients that only read take the driver's "

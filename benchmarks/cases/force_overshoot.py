@@ -6,7 +6,7 @@ Its figures stand in `docs/explanation/force-overshoot.md`. It measures no time.
 import itertools
 from dataclasses import replace
 
-from benchmarks.harness.result import Result
+from benchmarks.harness.result import Figure, Result
 from benchmarks.stands.touching_arm import LEASH_M, Contact, Touch, touch
 from training.environment.design import LAW
 from wire.impact import CONTACT_N_M, peak_n, reached_m_s
@@ -48,6 +48,7 @@ def measure(scale: float) -> Result:
         ),
         rows=tuple(rows),
         finding=f"The largest true force is {largest:.2f} of its bound.",
+        figures=(Figure("largest true force to its bound", largest, "times", 1.0),),
         method=f"An arm moves into the block, its target {PRESS_M * 1e3:g} mm behind the surface, and stops by itself "
         f"at {FORCE_CEILING_N:g} N measured. The true force is that of the contact, every 2 ms for 0.2 s.",
     )

@@ -8,7 +8,7 @@ import zenoh
 
 from benchmarks.harness.exchange import TIMEOUT_S, answer, spans, until_answered
 from benchmarks.harness.processes import free_port, running
-from benchmarks.harness.result import QUANTILES, Result, median, quantiles
+from benchmarks.harness.result import QUANTILES, Figure, Result, median, quantiles
 from benchmarks.stands.echo import ASK, PING, PONG
 from service.drivers.world_hold import WorldHold
 from service.program import MODULE
@@ -59,6 +59,7 @@ def measure(scale: float) -> Result:
         columns=("exchange", *(f"{name} µs" for name in QUANTILES), "to bare query"),
         rows=rows,
         finding=f"A lockstep tick costs a bare query, the tick itself, and {over * 1e6:.0f} µs more (medians).",
+        figures=(Figure("lockstep tick to bare query", median(advanced) / median(asked), "times", 1.5),),
         method=f"{count} exchanges per row, one at a time, of {len(payload)} bytes, between two processes "
         "over TCP on loopback.",
     )

@@ -6,7 +6,7 @@ import sys
 from dataclasses import dataclass, field
 
 from benchmarks.harness.processes import ROOT, running
-from benchmarks.harness.result import Result, UnavailableError, median
+from benchmarks.harness.result import Figure, Result, UnavailableError, median
 from benchmarks.stands.rtde_readers import VARIABLES, WARM_UP_S
 from wire.rtde.messages import PORT
 
@@ -60,6 +60,7 @@ def measure(scale: float) -> Result:
         finding=f"At {RATE_HZ} Hz this client on uvloop takes {median(ours.share) / median(theirs.share):.2f} of "
         f"ur_rtde's CPU time; in a flood it decodes {median(ours.flood) / median(plain.flood):.2f} of a plain "
         "loop's packages.",
+        figures=(Figure("CPU of the client to ur_rtde", median(ours.share) / median(theirs.share), "times", 0.5),),
         method=f"{len(VARIABLES)} variables, {count} rounds of {SPAN_S:g} s by turns, medians; each reader in a "
         "process of its own, CPU time of all its threads. First a flood, as fast as the reader takes it, then "
         f"{RATE_HZ} Hz. ur_rtde skips a package if the next one has already arrived, in a flood nearly "

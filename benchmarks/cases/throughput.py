@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from mujoco.batch import Batch
 
-from benchmarks.harness.result import Result
+from benchmarks.harness.result import Figure, Result
 from benchmarks.harness.stopwatch import timed
 from training.environment.design import vftm_dsl
 from training.environment.episodes import TaskSource
@@ -17,7 +17,7 @@ from training.learning.parallel import ParallelInsertions
 from wire.records import TICK_S
 
 CELLS = 256
-TARGET = 0.7
+TARGET = 0.88
 WARM_UP = 20
 
 
@@ -67,7 +67,11 @@ def measure(scale: float) -> Result:
             "steps/s",
         ),
         rows=rows,
-        finding=f"Of raw: {ratios} threads. The aim is {TARGET}.",
+        finding=f"Of raw: {ratios} threads.",
+        figures=tuple(
+            Figure(f"environment to raw, {c} cells on {t}", s.raw_s / s.steps_s, "of raw", TARGET, at_least=True)
+            for (c, t), s in runs.items()
+        ),
         method=(
             f"{steps} steps of {vftm_dsl().ticks_per_step} ticks with random actions; before each, the same states "
             "step raw, controls held, once in one call and once tick by tick. k/s: thousands of ticks per second, "

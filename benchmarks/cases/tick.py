@@ -2,14 +2,19 @@
 
 import asyncio
 import time
-from pathlib import Path
-
-import numpy as np
-import onnxruntime
 
 from benchmarks.harness.exchange import spans
-from benchmarks.harness.result import QUANTILES, Result, UnavailableError, median, quantiles
+from benchmarks.harness.result import (
+    QUANTILES,
+    Figure,
+    Result,
+    UnavailableError,
+    median,
+    quantile_figures,
+    quantiles,
+)
 from benchmarks.harness.stopwatch import timed
+from benchmarks.stands.bare_inference import bare_call
 from benchmarks.stands.shipped_cell import ShippedCell, shipped_cell
 from service.cell.cell import Cell
 from service.cell.inference import InlineInference
@@ -31,7 +36,7 @@ def measure(scale: float) -> Result:
         timed(Policy, "act") as inference,
     ):
         asyncio.run(_insert(shipped, runs))
-        bare = _bare_calls(shipped.policy, max(200, int(5000 * scale)))
+        bare = spans(max(200, int(5000 * scale)), bare_call(shipped.policy))
     steps, others = samples.split(inference)
     inferences = [end - begin for begin, end in inference.calls if begin >= samples.calls[0][0]]
     reference = median(bare)
@@ -50,6 +55,12 @@ def measure(scale: float) -> Result:
         rows=rows,
         finding=f"A policy step costs {median(steps) * 1e6:.0f} µs of a tick's 2000 (median), "
         f"or {median(steps) / reference:.0f} bare calls.",
+        figures=(
+            *quantile_figures("policy step in lockstep", steps, {"p50": 250.0, "p99": 500.0}),
+            *quantile_figures("sample without a policy step", others, {"p50": 25.0}),
+            Figure("policy step to bare ONNX call", median(steps) / reference, "times", 10.0),
+            Figure("sample without a policy step to bare ONNX call", median(others) / reference, "times", 0.5),
+        ),
         method=f"{runs} whole insertions in lockstep in this process, recipe {shipped.recipe}, {shipped.policy.name}; "
         "from the driver's delivery of a sample to the command encoded as its wire record.",
     )
@@ -72,12 +83,3 @@ async def _until_ready(cell: Cell) -> None:
         if cell.state is CellState.LATCHED or time.monotonic() > deadline:
             raise UnavailableError(f"the cell is {cell.state}: {cell.status().why_not}")
         await asyncio.sleep(0.01)
-
-
-def _bare_calls(path: Path, count: int) -> list[float]:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    session = onnxruntime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
-    feed = {node.name: np.zeros((1, node.shape[1]), np.float32) for node in session.get_inputs()}
-    return spans(count, lambda: session.run(None, feed))

@@ -10,7 +10,7 @@ from typing import Any
 
 from mujoco.batch import Batch
 
-from benchmarks.harness.result import Result
+from benchmarks.harness.result import Figure, Result
 from benchmarks.harness.stopwatch import timed
 from training.environment.vector import EndlessInsertions
 from training.learning import ppo
@@ -69,6 +69,7 @@ def measure(scale: float) -> Result:
         ),
         finding=f"{share.steps / share.total_s:.0f} policy steps per second end to end in one process, physics is "
         f"{share.physics_s / share.total_s:.0%} of it; {rate:.0f} with {workers} workers.",
+        figures=(Figure("training, one process", share.steps / share.total_s, "steps/s", 1600.0, at_least=True),),
         method=f"{rollouts} rollouts of {share.cells} cells x {load(EXPERIMENT).algorithm.rollout} steps with updates, "
         f"experiment {EXPERIMENT}, from a fresh network: episodes begin together, so contact is rarer than later on.",
     )

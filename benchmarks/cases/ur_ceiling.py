@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.harness.result import Result, UnavailableError
+from benchmarks.harness.result import Figure, Result, UnavailableError
 from benchmarks.stands.pressed_arm import PressedArm
 from benchmarks.stands.ur_cell import plan_first, shipped_ur_cell
 from service.cell.plan import Plan
@@ -74,6 +74,10 @@ def measure(scale: float) -> Result:
         rows=tuple(rows),
         finding=f"The target velocity falls at most {slowest} tick{'s' * (slowest > 1)} after a measurement at the "
         f"ceiling; the largest true force relative to it is {overshoots}.",
+        figures=(
+            Figure("reaction of the control program", float(slowest), "ticks", 1.0),
+            Figure("true force over the ceiling, gentle", worst[GENTLE_M_S] - ceiling_n, "N", 3.0),
+        ),
         method="Emulated controller in this process, tick by tick, and a host that lowers the target into the block "
         "beside the hole, one step every 100 ms. Reaction: from the first tick that measures the ceiling to the first "
         "whose target velocity is below that of the same arm without a ceiling. Standstill: from the same tick until "

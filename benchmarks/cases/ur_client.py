@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass, field
 
 from benchmarks.harness.processes import ROOT, running
-from benchmarks.harness.result import Result, UnavailableError, median
+from benchmarks.harness.result import Figure, Result, UnavailableError, median
 from benchmarks.stands.shipped_cell import ShippedCell
 from benchmarks.stands.ur_cell import HOST, controller_options, shipped_ur_cell
 from service.drivers.ur.samples import OUTPUTS
@@ -58,6 +58,7 @@ def measure(scale: float) -> Result:
         ),
         finding=f"This client on uvloop takes {ours / asked:.2f} of the CPU time of ur_rtde asked for the same values; "
         f"the whole driver takes {driver / asked:.2f}.",
+        figures=(Figure("CPU of the driver to ur_rtde asked", driver / asked, "times", 0.5),),
         method=f"One emulated controller in real time, the driver's {len(OUTPUTS)} variables, {count} rounds of "
         f"{span_s:g} s by turns, medians; each reader in a process of its own, CPU time of all its threads. "
         "This project's readers are called for every package. ur_rtde keeps the newest and is polled, here at "

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.cases.ur_ceiling import GENTLE_M_S
 from benchmarks.harness import operating
 from benchmarks.harness.processes import running
-from benchmarks.harness.result import Result, UnavailableError
+from benchmarks.harness.result import Figure, Result, UnavailableError
 from benchmarks.stands.pressed_arm import PressedArm
 from benchmarks.stands.recorded_controller import CONTACT
 from benchmarks.stands.shipped_cell import ShippedCell
@@ -84,6 +84,7 @@ def measure(scale: float) -> Result:
         finding=f"A killed control process's program ends at most {slowest_s * 1e3:.0f} ms after the last package "
         f"(watchdog {watchdog_s * 1e3:.0f} ms); the largest true force is {worst_n - ceiling_n:+.1f} N relative to the "
         f"ceiling of {ceiling_n:g} N.",
+        figures=(Figure("end of the program after silence", slowest_s * 1e3, "ms", watchdog_s * 1e3 + 10.0),),
         method="Killed: emulated controller and control process in real time; the latter gets SIGKILL within "
         f"{LATER_S * 1e3:.0f} ms after the peg has begun to press in an insertion. Muted: tick by tick in this "
         f"process, the peg over the block beside the hole, a host that stops writing registers at a true force of "

@@ -1,7 +1,9 @@
 """An operator's actions for measurements of the real processes: wait for a state, start, reset."""
 
 import asyncio
+import contextlib
 import time
+from collections import Counter
 
 from benchmarks.harness.result import UnavailableError
 from service.client import CellClient, CellRefusedError, CellSilentError
@@ -69,6 +71,24 @@ async def approach(client: CellClient, recipe: str, seed: int) -> bool:
             if status.state is CellState.APPROACH:
                 return True
         await asyncio.sleep(POLL_S)
+
+
+async def insert_repeatedly(client: CellClient, recipe: str, seconds: float) -> Counter[str]:
+    """Insert until the time is over, and reset what latches; return how often each fault latched."""
+    until_s = time.monotonic() + seconds
+    latches: Counter[str] = Counter()
+    seed = 0
+    while time.monotonic() < until_s:
+        status = client.last_status
+        if client.state is CellState.LATCHED and status is not None and status.latch is not None:
+            latches[status.latch.code] += 1
+            await reset(client)
+        elif client.state is CellState.READY:
+            with contextlib.suppress(LatchedError):
+                await start(client, recipe, seed)
+            seed += 1
+        await asyncio.sleep(0.05)
+    return latches
 
 
 async def reset(client: CellClient) -> None:

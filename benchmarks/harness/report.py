@@ -8,7 +8,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.harness.result import Result
+from benchmarks.harness.result import Figure, Result
+
+_LIMIT_COLUMNS = ("figure", "measured", "limit", "holds")
 
 
 def show(console: Console, name: str, result: Result) -> None:
@@ -20,7 +22,13 @@ def show(console: Console, name: str, result: Result) -> None:
         column.justify = "right"
     for row in result.rows:
         table.add_row(*row)
-    console.print(table, "", highlight=False)
+    console.print(table, highlight=False)
+    if result.figures:
+        limits = Table(*_LIMIT_COLUMNS)
+        for row in _limits(result.figures):
+            limits.add_row(*row)
+        console.print(limits, highlight=False)
+    console.print()
 
 
 def save(folder: Path, conditions: Mapping[str, str], results: Mapping[str, Result]) -> tuple[Path, Path]:
@@ -42,8 +50,22 @@ def _markdown(conditions: Mapping[str, str], results: Mapping[str, Result]) -> s
             lines += [f"Not measured: {result.missing}", ""]
             continue
         lines += [*_table(result.columns, result.rows), ""]
+        if result.figures:
+            lines += [*_table(_LIMIT_COLUMNS, _limits(result.figures)), ""]
         lines += [text for paragraph in (result.finding, result.method) if paragraph for text in (paragraph, "")]
     return "\n".join(lines)
+
+
+def _limits(figures: tuple[Figure, ...]) -> tuple[tuple[str, ...], ...]:
+    return tuple(
+        (
+            figure.name,
+            f"{figure.value:.3g} {figure.unit}",
+            f"{'at least' if figure.at_least else 'at most'} {figure.limit:g}",
+            "yes" if figure.holds else "NO",
+        )
+        for figure in figures
+    )
 
 
 def _table(columns: tuple[str, ...], rows: tuple[tuple[str, ...], ...]) -> list[str]:

@@ -1,9 +1,11 @@
 """A simulated cell in real time that on request publishes one sample above the ceiling and times the stop.
 
-Run `python -m benchmarks.stands.tripping_world ENDPOINT WORLD`. A query on `bench/trip` needs an engaged arm. It is
-answered once the stop has arrived, with the seconds from that sample's publication to the stop's arrival.
+Run `python -m benchmarks.stands.tripping_world ENDPOINT WORLD`. A query on `bench/trip` waits for a world that was laid
+out after the last such sample, then for a random while. It is answered once the stop has arrived, with the seconds from
+that sample's publication to the stop's arrival.
 """
 
+import random
 import sys
 import time
 
@@ -19,6 +21,8 @@ from wire.task import Task
 
 TRIP = "bench/trip"
 FORCE_N = 100.0
+AFTER_TICKS = (15, 60)
+"""Shortest and longest time from the layout to the sample: the run is under way, and its arm not engaged yet."""
 
 
 class TrippingCell(SimulatedCell):
@@ -26,17 +30,25 @@ class TrippingCell(SimulatedCell):
 
     def __init__(self) -> None:
         super().__init__()
+        self._draws = random.Random(0)  # noqa: S311  # a seeded draw is wanted
         self._query: zenoh.Query | None = None
+        self._due_seq: int | None = None
         self._published_s: float | None = None
 
     def trip(self, query: zenoh.Query) -> None:
-        """Falsify the next sample; called on Zenoh's thread."""
+        """Falsify a sample of the present world, or of the next one; called on Zenoh's thread."""
         self._query, self._published_s = query, None
+
+    def reset(self, task: Task) -> RecordArray:
+        state = super().reset(task)
+        self._due_seq = int(state["seq"][0]) + self._draws.randint(*AFTER_TICKS)
+        return state
 
     def tick(self, ticks: int = 1) -> RecordArray:
         record = super().tick(ticks)
-        if self._query is not None and self._published_s is None and record["program"][0] == records.Program.ENGAGED:
+        if self._query is not None and self._due_seq is not None and record["seq"][0] >= self._due_seq:
             record["wrench"][0, 2] = FORCE_N
+            self._due_seq = None
             self._published_s = time.perf_counter()
         return record
 
@@ -52,11 +64,11 @@ class TrippingCell(SimulatedCell):
 
 
 def main(endpoint: str, world: str) -> None:
+    refused = request_realtime()  # before Zenoh starts its threads, which inherit it
     session = open_session(listen=[endpoint])
     try:
         cell = TrippingCell()
         cell.reset(Task(0))
-        refused = request_realtime()
         session.declare_subscriber(keys.COMMAND.format(world=world), cell.on_command)
         session.declare_queryable(TRIP, cell.trip)
         server = Server(cell, session, world, Pace.REAL_TIME, refused)

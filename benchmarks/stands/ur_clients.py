@@ -13,6 +13,7 @@ import sys
 import time
 
 from benchmarks.harness.processes import READY
+from benchmarks.stands.rtde_connection import RATE_HZ, READ_BYTES, started
 from benchmarks.stands.rtde_readers import WARM_UP_S
 from benchmarks.stands.ur_cell import plan_first
 from service.config import load
@@ -21,11 +22,7 @@ from service.drivers.ur.driver import UrDriver
 from service.drivers.ur.samples import OUTPUTS
 from service.faults import FaultCode
 from wire.records import Program
-from wire.rtde.codec import FrameReader, PackageType, frame
-from wire.rtde.messages import PORT, OutputsRequest, encode_version_request
 
-RATE_HZ = 500.0
-READ_BYTES = 1 << 16
 TARGET_S = 0.1
 """Time between two targets, as from a policy, s."""
 
@@ -34,24 +31,13 @@ def readers(host: str, count: int) -> None:
     """Take the driver's packages on each connection and discard them."""
     with selectors.DefaultSelector() as selector:
         for _ in range(count):
-            selector.register(_started(host), selectors.EVENT_READ)
+            selector.register(started(host, OUTPUTS)[0], selectors.EVENT_READ)
         print(READY, flush=True)
         while True:
             for key, _ in selector.select():
                 reading = key.fileobj
                 if not isinstance(reading, socket.socket) or not reading.recv(READ_BYTES):
                     raise SystemExit("the controller has closed a connection")
-
-
-def _started(host: str) -> socket.socket:
-    connection = socket.create_connection((host, PORT))
-    requests = encode_version_request(), OutputsRequest(OUTPUTS, RATE_HZ).encode(), frame(PackageType.START)
-    connection.sendall(b"".join(requests))
-    reader = FrameReader()
-    while data := connection.recv(READ_BYTES):
-        if any(kind == PackageType.DATA for kind, _ in reader.feed(data)):
-            return connection
-    raise SystemExit("the controller sends no data")
 
 
 def ur_rtde(host: str) -> None:
@@ -68,6 +54,9 @@ class _Newest:
 
     def __init__(self) -> None:
         self.sample: Sample | None = None
+
+    def overloads(self, sample: Sample) -> bool:
+        return False
 
     def on_sample(self, sample: Sample) -> None:
         self.sample = sample

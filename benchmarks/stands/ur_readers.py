@@ -75,6 +75,9 @@ async def _driver(seconds: float) -> str:
     seen = _Seen()
 
     class Sink:
+        def overloads(self, sample: Sample) -> bool:
+            return False
+
         def on_sample(self, sample: Sample) -> None:
             seen.take(sample.time_s)
 

@@ -18,7 +18,7 @@ ARM_STOPS: dict[StopReason, FaultCode] = {
 }
 """Fault of a run for each reason for which the arm's own controller stops."""
 ENDED = " (the control program was ended from elsewhere, or by its watchdog because this host was late)"
-"""What may be behind the end of a program that gave no reason."""
+"""Possible causes of the end of a program that gave no reason."""
 
 
 def why_not_drive(sample: Sample, *, engaged: bool) -> Halt | None:

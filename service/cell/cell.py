@@ -1,7 +1,8 @@
 """One cell: driver, safety core and runs put together.
 
 Everything that matters for safety is synchronous: a sample goes from the driver through the monitor to a stop command
-within one call, before anything is logged, stored, told or awaited.
+within one call, before anything is logged, stored, told or awaited. The ceilings of a run are judged once before that,
+on the thread on which the sample arrives.
 """
 
 import asyncio
@@ -43,6 +44,7 @@ from service.messages import (
     StopMark,
     StopRequest,
 )
+from service.safety.verdict import Verdict
 
 JOURNAL_CLOSE_S = 0.5
 TELEMETRY_TICKS = 10
@@ -102,6 +104,7 @@ class Cell:
         self._starting = Starting(config, driver, opener, self.journal, self.runs, self._intake, self)
         self._resetting = Resetting(config.limits, driver, self.journal, self._intake, self)
         self._remarks = Remarks(lambda text: self.journal.tell(EventKind.WARNING, self.state, text), driver.clock)
+        self._overload: Verdict | None = None
         self._link_text = "not connected yet"
         self._status_seq = 0
         self._client_heard_at = 0.0
@@ -126,9 +129,22 @@ class Cell:
 
     # --- from the driver
 
+    def overloads(self, sample: Sample) -> bool:
+        """Judge the ceilings of the run under way where the sample arrives, on the transport's thread.
+
+        The loop latches later, with the first overload as the cause, whatever it finds meanwhile.
+        """
+        if self.state not in WITH_RUN or self._starting.preparing:
+            return False
+        verdict = self._intake.judge_ceiling(sample)
+        if verdict.fault is not None and self._overload is None:
+            self._overload = verdict
+        return verdict.fault is not None
+
     def on_sample(self, sample: Sample) -> None:
         """Judge a sample and act on it."""
         try:
+            self._latch_overload()
             self._take(sample)
         except Exception as error:
             self.driver.stop()
@@ -190,6 +206,7 @@ class Cell:
 
     def halt(self, code: FaultCode, text: str) -> None:
         """Stop at once and latch, if there is anything to stop. A later fault does not replace the first."""
+        self._latch_overload()
         self._halting.halt(code, text)
 
     def disengage(self) -> None:
@@ -200,6 +217,7 @@ class Cell:
 
     def watch(self) -> None:
         """Check for deadlines and silence; `watch.keep_watch` calls this every few milliseconds of real time."""
+        self._latch_overload()
         now = self.driver.clock()
         self._halting.on_silence(now)
         if self._starting.preparing or (self.unlinked.is_set() and self.state not in WITH_RUN):
@@ -258,6 +276,7 @@ class Cell:
 
     def stop(self, request: StopRequest) -> StatusResult:
         """Stop whatever moves, in every state; latch if a run is under way. No start received before survives it."""
+        self._latch_overload()
         self._halting.stop(request)
         return StatusResult(status=self.status())
 
@@ -349,6 +368,12 @@ class Cell:
         self.journal.inform(lambda observer: observer.on_tick(record))
 
     # --- small parts
+
+    def _latch_overload(self) -> None:
+        """Latch an overload that was judged on the transport's thread, where its run is still under way."""
+        overload, self._overload = self._overload, None
+        if overload is not None and overload.fault is not None and self.state in WITH_RUN:
+            self._halting.halt(overload.fault, overload.text)
 
     def _impaired(self) -> Iterator[str]:
         """Yield what does not work at present."""

@@ -10,6 +10,7 @@ from service.config import LimitsSection
 from service.drivers.base import Program, Sample
 from service.faults import FaultCode
 from service.messages import Counters
+from service.safety.ceiling import is_plausible
 from service.safety.monitor import Monitor
 from service.safety.verdict import PASSED, Verdict
 
@@ -35,7 +36,8 @@ class Intake:
     def __init__(self, limits: LimitsSection, clock: Callable[[], float]) -> None:
         self._limits = limits
         self._clock = clock
-        self._monitor = Monitor(plan_monitor(limits, limits.force_ceiling_n))
+        self._parameters = plan_monitor(limits, limits.force_ceiling_n)
+        self._monitor, self._ceiling = Monitor(self._parameters), self._parameters.ceiling
         self._renewed_at = 0.0
         self._recent_peak_n = 0.0
         self._ignored = self._missed = 0
@@ -58,7 +60,19 @@ class Intake:
 
     def judge_alone(self, sample: Sample) -> Verdict:
         """Judge a sample without regard to earlier ones; keep nothing of it."""
-        return _check(Monitor(plan_monitor(self._limits, self.force_ceiling_n)), sample)
+        return _check(Monitor(self._parameters), sample)
+
+    def judge_ceiling(self, sample: Sample) -> Verdict:
+        """Judge a sample by the ceilings in force alone. It changes nothing and may be called on any thread.
+
+        Args:
+            sample: a sample that no number is known of passes: the monitor has other faults for it. So does one of
+                another source.
+        """
+        newest, channels = self.sample, sample.wrench.tolist()
+        if (newest is not None and sample.epoch != newest.epoch) or not is_plausible(channels):
+            return PASSED
+        return self._ceiling.judge(channels, saturated=sample.saturated)
 
     def renew(self, force_ceiling_n: float | None = None) -> None:
         """Expect another source or another world: the next sample is the first.
@@ -67,7 +81,8 @@ class Intake:
             force_ceiling_n: of a run; None: that of the cell.
         """
         self.force_ceiling_n = self._limits.force_ceiling_n if force_ceiling_n is None else force_ceiling_n
-        self._monitor = Monitor(plan_monitor(self._limits, self.force_ceiling_n))
+        self._parameters = plan_monitor(self._limits, self.force_ceiling_n)
+        self._monitor, self._ceiling = Monitor(self._parameters), self._parameters.ceiling
         self._renewed_at = self._clock()
         self.sample = None
 

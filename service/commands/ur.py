@@ -107,6 +107,10 @@ async def _ask_gripper(fingers: Gripper, action: GripperAction) -> GripperStatus
 class _Onlooker:
     """Ignores a driver's samples."""
 
+    def overloads(self, sample: Sample) -> bool:
+        """Ask for no stop: no run is under way."""
+        return False
+
     def on_sample(self, sample: Sample) -> None:
         """Ignore the sample."""
 

@@ -1,7 +1,8 @@
 """The driver interface: samples go up to the cell; pose targets and stops go down to the arm. A new arm is one class.
 
-All methods run on the event loop's thread, and none of them blocks. A driver that has to wait does so in a task or
-thread of its own and hands over what it received. Frames, units and signs are those of `docs/reference/frames.md`.
+All methods run on the event loop's thread but `SampleSink.overloads`, and none of them blocks. A driver that has to
+wait does so in a task or thread of its own and hands over what it received. Frames, units and signs are those of
+`docs/reference/frames.md`.
 """
 
 from collections.abc import Callable
@@ -89,7 +90,18 @@ class PoseTarget:
 
 
 class SampleSink(Protocol):
-    """Receiver of a driver's samples: the cell. Its methods run on the event loop's thread and do not block."""
+    """Receiver of a driver's samples: the cell. Its methods do not block.
+
+    All but `overloads` run on the event loop's thread.
+    """
+
+    def overloads(self, sample: Sample) -> bool:
+        """Return whether a sample demands a stop at once, by the ceilings of the run under way.
+
+        A driver whose samples arrive on another thread asks here, on that thread, before it hands the sample over. On
+        True it stops the arm, and lets no `engage`, `send_target` or `zero_ft` through until the next `prepare`.
+        """
+        ...
 
     def on_sample(self, sample: Sample) -> None: ...
 

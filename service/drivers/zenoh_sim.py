@@ -3,11 +3,12 @@
 import asyncio
 import contextlib
 import json
+import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
-import numpy.typing as npt
 import zenoh
 
 from service.drivers.base import DriverError, PoseTarget, Sample, SampleSink
@@ -17,6 +18,7 @@ from service.drivers.world_hold import WorldHold
 from service.faults import FaultCode
 from service.program import PROGRAM
 from wire import keys, records
+from wire.arrays import RecordArray
 from wire.law import ComplianceLaw, ControlLimits
 from wire.modes import TimeMode
 from wire.session import QueryRefusedError, call_in_loop, close_session, open_session, query
@@ -65,13 +67,15 @@ class ZenohSimDriver:
         self._commands = CommandWriter()
         self._hold = WorldHold(world, self.name, cell)
         self._handover = Handover()
+        self._sending = threading.Lock()
+        self._overloaded = False
         self._session: zenoh.Session | None = None
         self._publisher: zenoh.Publisher | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._sink: SampleSink | None = None
         self._newest_seq = -1
         self._arrived = asyncio.Event()
-        self._pending: list[npt.NDArray[Any]] = []
+        self._pending: list[RecordArray] = []
         self._ticks = 0
         self._quiet_ticks = 0
         self._task: asyncio.Task[None] | None = None
@@ -117,6 +121,7 @@ class ZenohSimDriver:
         except records.WireError as error:
             raise DriverError(FaultCode.PROTOCOL, f"{self.name}: {error}") from error
         self._quiet_ticks = 0
+        self._overloaded = False
         try:
             async with asyncio.timeout(QUERY_TIMEOUT_S):
                 while self._newest_seq <= laid_out:
@@ -126,28 +131,28 @@ class ZenohSimDriver:
             raise DriverError(FaultCode.STALE, f"{self.name}: no samples after the world was laid out") from error
 
     def engage(self, law: ComplianceLaw, limits: ControlLimits) -> None:
-        self._send(self._commands.engage(law, limits))
+        self._send(partial(self._commands.engage, law, limits), of_run=True)
 
     def send_target(self, target: PoseTarget) -> int:
-        self._send(self._commands.target(target))
+        self._send(partial(self._commands.target, target), of_run=True)
         return self._commands.seq
 
     def stop(self) -> None:
         self._pending = [order for order in self._pending if order[0]["kind"] == records.Kind.STOP_BLIND]
-        self._send(self._commands.stop())
+        self._send(self._commands.stop)
 
     def stop_blind(self) -> None:
         self._pending.clear()
-        self._send(self._commands.stop(blind=True))
+        self._send(partial(self._commands.stop, blind=True))
 
     def escalate(self) -> None:
         self.stop()
 
     def zero_ft(self) -> None:
-        self._send(self._commands.zero_ft())
+        self._send(self._commands.zero_ft, of_run=True)
 
     def unlock(self) -> None:
-        self._send(self._commands.unlock())
+        self._send(self._commands.unlock)
 
     async def close(self) -> None:
         self.stop()
@@ -180,9 +185,19 @@ class ZenohSimDriver:
         except records.WireError as error:
             wake = self._handover.report(FaultCode.PROTOCOL, f"{self.name}: {error}")
         else:
+            self._stop_overload(sample)
             wake = self._handover.offer(sample)
         if wake and self._loop is not None:
             call_in_loop(self._loop, self._deliver)
+
+    def _stop_overload(self, sample: Sample) -> None:
+        """Stop the arm where the sample demands it, and again while it does not obey. Runs on Zenoh's thread."""
+        if self._sink is None:
+            return
+        engaged = sample.program is records.Program.ENGAGED
+        if self._sink.overloads(sample) or (self._overloaded and engaged):
+            self._overloaded = True
+            self._send(self._commands.stop)
 
     def _deliver(self) -> None:
         samples, fault = self._handover.take()
@@ -227,12 +242,22 @@ class ZenohSimDriver:
         if self._sink is not None:
             self._sink.on_notice(f"{self.name} refused {count} commands or requests that were not this cell's")
 
-    def _send(self, command: npt.NDArray[Any]) -> None:
+    def _send(self, write: Callable[[], RecordArray], *, of_run: bool = False) -> None:
+        """Write a command and send it, in one step, because the world takes no number below an earlier one.
+
+        Runs on the loop's thread, for a stop on Zenoh's thread too.
+
+        Args:
+            write: makes the command.
+            of_run: an order that does not leave any more once Zenoh's thread has stopped the run.
+        """
         if self.mode == "lockstep":
-            self._pending.append(command)
+            self._pending.append(write())
         elif self._publisher is not None:
             try:
-                self._publisher.put(command.tobytes())
+                with self._sending:
+                    if not (of_run and self._overloaded):
+                        self._publisher.put(write().tobytes())
             except zenoh.ZError as error:
                 self._report(FaultCode.LINK, f"{self.name}: a command could not be sent: {error}")
 
@@ -244,7 +269,7 @@ class ZenohSimDriver:
 
     def _report(self, code: FaultCode, text: str) -> None:
         if self._loop is not None and self._sink is not None:
-            self._loop.call_soon(self._sink.on_link_fault, code, text)
+            call_in_loop(self._loop, self._sink.on_link_fault, code, text)
 
     async def _ask_info(self, session: zenoh.Session) -> dict[str, Any]:
         replies = await self._query(keys.INFO.format(world=self._world), b"", QUERY_TIMEOUT_S)

@@ -7,12 +7,11 @@ from dataclasses import dataclass, fields
 from math import hypot, inf, isfinite, nan
 
 from service.faults import FaultCode
+from service.safety.ceiling import Ceiling, is_plausible
 from service.safety.verdict import IGNORED, PASSED, Verdict
 from wire.arrays import FloatArray
 from wire.limits import FORCE_HARD_MAXIMUM_N, TORQUE_HARD_MAXIMUM_NM
 
-PLAUSIBLE = 1e6
-"""Largest plausible magnitude, in N, N·m, m, rad and their rates. No cell measures more, and squares may overflow."""
 _CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 STANDING_STAMPS = 3
 """Consecutive stamps without advance that mean a stopped clock. A clock that was set back gives a single one."""
@@ -74,6 +73,11 @@ class MonitorParameters:
                 f"({self.stuck_samples}): one channel repeats itself more easily than all"
             )
 
+    @property
+    def ceiling(self) -> Ceiling:
+        """Ceilings among these limits."""
+        return Ceiling(self.force_ceiling_n, self.torque_ceiling_nm, self.force_range_n, self.torque_range_nm)
+
 
 class Repeats:
     """Counts the consecutive samples in which a channel of a wrench has not changed by a bit."""
@@ -117,6 +121,7 @@ class Monitor:
 
     __slots__ = (
         "_arrival",
+        "_ceiling",
         "_episode",
         "_epoch",
         "_force",
@@ -131,6 +136,7 @@ class Monitor:
 
     def __init__(self, parameters: MonitorParameters) -> None:
         self._parameters = parameters
+        self._ceiling = parameters.ceiling
         self.reset()
 
     def reset(self) -> None:
@@ -198,16 +204,12 @@ class Monitor:
             return IGNORED
         self._seq = seq
 
-        fx, fy, fz, tx, ty, tz = wrench.tolist()
-        # A sum is finite only if every term is finite; `max` has a meaning only then
-        if not (
-            isfinite(fx + fy + fz + tx + ty + tz)
-            and max(abs(fx), abs(fy), abs(fz), abs(tx), abs(ty), abs(tz)) <= PLAUSIBLE
-        ):
-            return Verdict(FaultCode.SENSOR_INVALID, text=f"wrench is not finite or not plausible: {wrench.tolist()}")
+        channels: list[float] = wrench.tolist()
+        if not is_plausible(channels):
+            return Verdict(FaultCode.SENSOR_INVALID, text=f"wrench is not finite or not plausible: {channels}")
         own: list[float] = raw.tolist()
         moved: list[float] = [*own, *motion.ravel().tolist()]
-        if not (isfinite(time_s) and isfinite(sum(moved)) and max(map(abs, moved)) <= PLAUSIBLE):
+        if not (isfinite(time_s) and is_plausible(moved)):
             return Verdict(
                 FaultCode.SENSOR_INVALID,
                 text="a raw reading, pose, velocity or time stamp is not finite or not plausible",
@@ -216,39 +218,15 @@ class Monitor:
         gap = 0.0 if self._time is None else time_s - self._time
         self._standing = 0 if self._time is None or gap > 0.0 else self._standing + 1
         self._time, self._arrival = time_s, now
-        force = hypot(fx, fy, fz)
+        force = hypot(*channels[:3])
         self._force = force
         if force > self._peak:
             self._peak = force
-        if force >= limits.force_ceiling_n:
-            return Verdict(
-                FaultCode.FORCE_CEILING,
-                force,
-                limits.force_ceiling_n,
-                f"force {force:.2f} N, ceiling {limits.force_ceiling_n:g} N",
-            )
-        torque = hypot(tx, ty, tz)
-        if torque >= limits.torque_ceiling_nm:
-            return Verdict(
-                FaultCode.FORCE_CEILING,
-                torque,
-                limits.torque_ceiling_nm,
-                f"torque {torque:.3f} N·m, ceiling {limits.torque_ceiling_nm:g} N·m",
-            )
-        if (
-            saturated
-            or max(abs(fx), abs(fy), abs(fz)) >= limits.force_range_n
-            or max(abs(tx), abs(ty), abs(tz)) >= limits.torque_range_nm
-        ):
-            return Verdict(
-                FaultCode.FORCE_CEILING,
-                force,
-                limits.force_ceiling_n,
-                f"sensor at the end of its range reads {force:.2f} N and {torque:.3f} N·m: "
-                "the true load is unknown and counts as above the ceiling",
-            )
+        above = self._ceiling.judge(channels, saturated=saturated)
+        if above.fault is not None:
+            return above
 
-        stuck = self._repeats.stuck([fx, fy, fz, tx, ty, tz], limits.stuck_samples, limits.stuck_channel_samples)
+        stuck = self._repeats.stuck(channels, limits.stuck_samples, limits.stuck_channel_samples)
         stuck_raw = self._raw_repeats.stuck(own, limits.stuck_samples, limits.stuck_channel_samples)
         if (found := stuck_raw or stuck) is not None:
             name, count, limit = found

@@ -29,6 +29,11 @@ class Sink:
     def __init__(self) -> None:
         self.samples: list[Sample] = []
         self.faults: list[tuple[FaultCode, str]] = []
+        self.stop_at_once = False
+
+    def overloads(self, sample: Sample) -> bool:
+        stop_at_once, self.stop_at_once = self.stop_at_once, False
+        return stop_at_once
 
     def on_sample(self, sample: Sample) -> None:
         self.samples.append(sample)
@@ -70,6 +75,27 @@ async def test_an_arm_is_prepared_engaged_moved_and_stopped(mode: str) -> None:
             driver.stop()
             driver.stop()
             await until(lambda: sink.samples[-1].program is Program.IDLE)
+            assert sink.faults == []
+
+
+async def test_no_order_of_a_run_follows_a_stop_from_the_transports_thread() -> None:
+    endpoint = free_endpoint()
+    with sim_process(endpoint):
+        async with connected(endpoint, "real_time") as (driver, sink):
+            await driver.prepare(TASK)
+            driver.engage(LAW, LIMITS)
+            await until(lambda: sink.samples[-1].program is Program.ENGAGED)
+            sink.stop_at_once = True
+            await until(lambda: sink.samples[-1].program is Program.IDLE)
+            stopped = sink.samples[-1]
+            for _ in range(5):
+                driver.engage(LAW, LIMITS)
+                driver.send_target(PoseTarget(stopped.tcp_position + np.array([0.0, 0.0, 0.01]), stopped.tcp_rotvec))
+            await until(lambda: sink.samples[-1].seq > stopped.seq + 100)
+            assert {one.program for one in sink.samples if one.seq > stopped.seq} == {Program.IDLE}
+            await driver.prepare(TASK)
+            driver.engage(LAW, LIMITS)
+            await until(lambda: sink.samples[-1].program is Program.ENGAGED)
             assert sink.faults == []
 
 

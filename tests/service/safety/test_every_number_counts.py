@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from service.faults import FaultCode
-from service.safety.monitor import PLAUSIBLE, Monitor
+from service.safety.ceiling import PLAUSIBLE
+from service.safety.monitor import Monitor
 from service.safety.pose import rotate, wrap, yaw_and_tilt
 from service.safety.stop import StopConfirmation, StopParameters, StopState
 from tests.service.safety.test_bounds import HERE, bounded

@@ -1,0 +1,46 @@
+"""Bare calls of ONNX Runtime on one model, scheduled as a policy's process: `… bare_inference MODEL HOT RESTED`.
+
+It prints the durations as JSON, s: `hot`, one call after the other, and `rested`, each after 100 ms without a call.
+"""
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+
+from benchmarks.harness.exchange import spans
+from wire.realtime import request_prompt_answers
+
+REST_S = 0.1
+LONGEST_S = 30.0
+
+
+def bare_call(model: Path) -> Callable[[], object]:
+    """Return one call on zeros, with the session's settings of a policy and none of its checks."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    session = onnxruntime.InferenceSession(model.read_bytes(), options, providers=["CPUExecutionProvider"])
+    feed = {node.name: np.zeros((1, node.shape[1]), np.float32) for node in session.get_inputs()}
+    return lambda: session.run(None, feed)
+
+
+def main(model: Path, hot: int, rested: int) -> None:
+    call = bare_call(model)
+    request_prompt_answers(LONGEST_S)
+    taken = spans(hot, call)
+    late: list[float] = []
+    for _ in range(rested):
+        time.sleep(REST_S)
+        begin = time.perf_counter()
+        call()
+        late.append(time.perf_counter() - begin)
+    print(json.dumps({"hot": taken, "rested": late}))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))
