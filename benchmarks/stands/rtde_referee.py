@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.harness.processes import READY
 from benchmarks.stands.rtde_connection import READ_BYTES, started
-from wire.realtime import settle_interpreter, request_realtime
+from wire.realtime import request_realtime, settle_interpreter
 from wire.rtde.codec import PackageType
 
 _STAMP = struct.Struct(">Bd")

@@ -18,7 +18,7 @@ import onnxruntime
 from benchmarks.harness.processes import READY
 from benchmarks.stands.rtde_connection import RATE_HZ
 from wire.limits import FORCE_CEILING_N
-from wire.realtime import settle_interpreter, request_realtime
+from wire.realtime import request_realtime, settle_interpreter
 from wire.records import TICK_S
 
 STEP_TICKS = 50

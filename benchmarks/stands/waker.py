@@ -14,7 +14,7 @@ from types import FrameType
 import numpy as np
 
 from benchmarks.harness.processes import READY
-from wire.realtime import settle_interpreter, request_realtime
+from wire.realtime import request_realtime, settle_interpreter
 from wire.records import TICK_S
 
 _TIMER_ABSTIME = 1
