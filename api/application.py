@@ -163,6 +163,11 @@ def _report_crash(task: asyncio.Task[None]) -> None:
         _log.critical("a background task crashed", exc_info=error)
 
 
+def _was_told_to_end(handler: Any) -> bool:
+    """Return whether the server whose handler of signals this is had a signal before the application started."""
+    return bool(getattr(getattr(handler, "__self__", None), "should_exit", False))
+
+
 @contextmanager
 def _on_signal(at_once: Callable[[], None], soon: Callable[[], None]) -> Generator[None]:
     """Call `at_once` in the handler of a signal that asks the server to end, and `soon` on the event loop.
@@ -175,6 +180,8 @@ def _on_signal(at_once: Callable[[], None], soon: Callable[[], None]) -> Generat
         return
     loop = asyncio.get_running_loop()
     previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    if any(_was_told_to_end(handler) for handler in previous.values()):
+        at_once()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         at_once()

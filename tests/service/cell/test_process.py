@@ -24,6 +24,7 @@ from service.faults import FaultCode
 from service.messages import CellState, RefusalReason, Refused, ResetRequest, RunResult, RunState, StartRequest
 from service.program import command
 from service.testing import RECIPE, cell_config
+from tests.conftest import REALTIME_VARIABLE
 from tests.scheduling import ORDINARY, children, schedulings
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
@@ -173,8 +174,9 @@ async def control_process(
 
 @pytest.mark.parametrize("asked", [False, True])
 async def test_a_simulated_cell_has_ordinary_priority_unless_asked_and_its_loop_comes_first_then(
-    tmp_path: Path, asked: bool
+    tmp_path: Path, asked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.delenv(REALTIME_VARIABLE)
     driver = 'driver = "zenoh_sim"'
     path, endpoint = configured(tmp_path, **({driver: f"{driver}\nrealtime = true"} if asked else {}))
     async with control_process(path, endpoint) as (process, client):

@@ -4,6 +4,7 @@ from typing import get_args
 import pytest
 
 from service.config import PATH_VARIABLE, CellConfig, ConfigError, RecipeSection, find, load
+from tests.conftest import REALTIME_VARIABLE
 from wire.limits import FORCE_HARD_MAXIMUM_N
 from wire.task import Conditions
 
@@ -110,11 +111,12 @@ def test_the_file_is_the_one_that_the_environment_names(tmp_path: Path, monkeypa
 def test_a_real_arm_alone_asks_for_real_time_scheduling_unless_the_cell_says_otherwise(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.delenv(REALTIME_VARIABLE)
     asked = {name: load(SHIPPED.with_name(f"{name}.toml")).asks_realtime for name in ("cell", "ur-emulated", "ur3e")}
     assert asked == {"cell": False, "ur-emulated": False, "ur3e": True}
-    monkeypatch.setenv("DSL_ASSEMBLY__CELL__REALTIME", "true")
+    monkeypatch.setenv(REALTIME_VARIABLE, "true")
     assert load(SHIPPED).asks_realtime
-    monkeypatch.setenv("DSL_ASSEMBLY__CELL__REALTIME", "false")
+    monkeypatch.setenv(REALTIME_VARIABLE, "false")
     assert not load(SHIPPED.with_name("ur3e.toml")).asks_realtime
 
 
