@@ -171,7 +171,10 @@ async def stops(shipped: ShippedCell, endpoint: str, count: int, begin: Begin) -
                 if answers:
                     taken.append(float(answers[0]))
                 elif status.state is not CellState.LATCHED:
-                    raise UnavailableError(f"no stop within {TRIP_TIMEOUT_S:g} s of a sample of {FORCE_N:g} N")
+                    raise UnavailableError(
+                        f"no stop within {TRIP_TIMEOUT_S:g} s of a sample of {FORCE_N:g} N, the {seed + 1}th: the cell "
+                        f"is {status.state}, its run {status.run}, {status.counters.samples_missed} samples were missed"
+                    )
                 await operating.reset(client)
     finally:
         await asyncio.to_thread(close_session, session)

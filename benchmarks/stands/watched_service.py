@@ -39,9 +39,10 @@ def policy_steps(
     begins = [begin for begin, _ in judged.calls]
     answers, departures = np.array(answered.calls).reshape(-1, 2), np.array([end for _, end in sent.calls])
     rows: list[tuple[float, ...]] = []
-    for begin, end in asked.calls:
+    nexts = [begin for begin, _ in asked.calls[1:]] + [float("inf")]
+    for (begin, end), next_s in zip(asked.calls, nexts, strict=True):
         number = int(np.searchsorted(begins, begin)) - 1
-        after = np.flatnonzero(answers[:, 0] >= end)
+        after = np.flatnonzero((answers[:, 0] >= end) & (answers[:, 0] < next_s))  # a run may end without an answer
         if number < 0 or not len(after):
             continue
         first, last = answers[after[0]]

@@ -36,13 +36,14 @@ def test_quantiles_become_figures_in_their_unit() -> None:
 
 def test_a_policy_step_goes_from_its_own_sample_to_the_command_in_its_answer() -> None:
     rows = policy_steps(
-        [(0.1, 9.9), (0.2, 19.9), (0.3, 29.9)],
-        judged=watch((10.0, 11.0), (20.0, 22.0), (30.0, 31.0)),
-        asked=watch((21.0, 21.5), (30.5, 30.6)),
-        answered=watch((24.0, 25.0), (32.0, 33.0)),
-        sent=watch((10.1, 10.2), (24.1, 24.6)),
+        [(0.1, 9.9), (0.2, 19.9), (0.3, 29.9), (0.4, 39.9), (0.5, 49.9)],
+        judged=watch((10.0, 11.0), (20.0, 22.0), (30.0, 31.0), (40.0, 41.0), (50.0, 51.0)),
+        asked=watch((21.0, 21.5), (30.5, 30.6), (40.5, 40.6), (50.5, 50.6)),
+        answered=watch((24.0, 25.0), (32.0, 33.0), (52.0, 53.0)),
+        sent=watch((10.1, 10.2), (24.1, 24.6), (52.1, 52.5)),
     )
-    assert rows.tolist() == [[0.2, 19.9, 24.6, pytest.approx(3.0)]], "the second answer led to no command"
+    first, last = [0.2, 19.9, 24.6, pytest.approx(3.0)], [0.5, 49.9, 52.5, pytest.approx(2.0)]
+    assert rows.tolist() == [first, last], "the second answer led to no command, the third never came"
 
 
 def test_arrivals_are_those_that_the_referee_saw(tmp_path: Path) -> None:

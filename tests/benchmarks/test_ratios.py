@@ -7,7 +7,7 @@ import pytest
 BOUNDS = {
     ("tick", "policy step to bare ONNX call"): 60.0,
     ("tick", "sample without a policy step to bare ONNX call"): 3.0,
-    ("round_trip", "lockstep tick to bare query"): 12.0,
+    ("round_trip", "lockstep tick to bare query"): 25.0,
     ("rtde", "CPU of the client to ur_rtde"): 0.5,
     ("inference", "call after a rest to a hot one"): 30.0,
 }
