@@ -78,7 +78,7 @@ class Judge:
     @property
     def _world_s(self) -> float:
         """Time of the world, which stands still while its process is frozen."""
-        return self.universe.plant.seq * TICK_S
+        return self.universe.plant.ticks * TICK_S
 
     def note_fault(self, kind: str, seconds: float) -> None:
         """Take note of a fault that begins: it excuses what is late, and a cut link what never comes."""

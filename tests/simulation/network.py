@@ -133,6 +133,10 @@ class Network:
         process.on_kill.append(session.close)
         return session
 
+    def has_listener(self, endpoint: str) -> bool:
+        """Stand in for `wire.endpoints.has_listener`, for the endpoint of a control process."""
+        return any(session.process.name == "control" and endpoint in session.endpoints for session in self.sessions)
+
     def peers(self, session: "Session") -> list["Session"]:
         return [other for other in self.sessions if other is not session and other.endpoints & session.endpoints]
 

@@ -19,6 +19,7 @@ import fastapi.routing
 import structlog
 
 import api.application
+import api.control_process
 import service.cell.answers
 import service.cell.cell
 import service.cell.journal.storage
@@ -98,11 +99,11 @@ async def _at_once(function: Callable[..., Any], *args: Any, **kwargs: Any) -> A
 
 def _metronome(host: Host, dozed_ticks: Callable[[], int]) -> Callable[..., Metronome]:
     class Beat(Metronome):
-        def wait(self) -> None:
+        def wait(self, beats: int = 1) -> None:
             dozed_s = dozed_ticks() * self._period_s
             if dozed_s:
                 self._due_s += dozed_s
-            super().wait()
+            super().wait(beats)
 
     return partial(Beat, clock=host.monotonic, sleep=clock.sleep)
 
@@ -167,14 +168,14 @@ def changes(host: Host, dozed_ticks: Callable[[], int]) -> list[Change]:
         (process, "Cell", partial(service.cell.cell.Cell, inference=InlineInference)),
         (service.cell.cell, "InProcessPolicy", policies),
         (process, "request_realtime", tuple),
-        (process, "freeze_garbage", lambda: None),
+        (process, "settle_interpreter", lambda: None),
         (api.application, "signal", SIGNALS),
+        (api.control_process, "has_listener", network.has_listener),
         (service.logs, "threading", threads.THREADING),
         (service.logs, "queue", threads.QUEUE),
         (service.cell.cell, "log_fault", host.log.fault),
         (server, "Metronome", _metronome(host, dozed_ticks)),
-        (server, "has_realtime_scheduling", lambda: False),
-        (server, "freeze_garbage", lambda: None),
+        (server, "settle_interpreter", lambda: None),
     ]
 
 

@@ -206,8 +206,12 @@ def _a_cancellation_is_lost() -> list[Change]:
             await asyncio.wait_for(asyncio.sleep(0.02), 1.0)
         return not cell.is_silent
 
+    async def may_be_joined(_: Any) -> bool:
+        return True
+
     return [
         (api.application, "end_tasks", end_once),
+        (api.control_process.ControlProcess, "may_be_joined", may_be_joined),
         (api.cell.FollowedCell, "wait_alive", wait_alive),
         (api.control_process.ControlProcess, "end_soon", lambda _: None),
     ]

@@ -352,10 +352,10 @@ class Watched:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._plant, name)
 
-    def tick(self) -> Any:
+    def tick(self, ticks: int = 1) -> Any:
         for _ in range(self._universe.dozed_ticks):
             self._plant.pass_tick()
-        record = self._plant.tick()
+        record = self._plant.tick(ticks)
         self._universe.judge()
         return record
 
