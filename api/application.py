@@ -11,7 +11,6 @@ from typing import Any
 
 import structlog
 from fastapi import FastAPI
-from fastapi.staticfiles import StaticFiles
 from pydantic.json_schema import models_json_schema
 
 from api import problems
@@ -67,7 +66,7 @@ def build_routes(lifespan: Callable[[FastAPI], Any] | None = None) -> FastAPI:
     _complete_openapi(app)
     for module in (commands, state, runs, streams, page):
         app.include_router(module.router, responses=problems.described(403, 421))
-    app.mount("/page", StaticFiles(directory=page.FOLDER), name="page")
+    app.mount("/page", page.FILES, name="page")
     return app
 
 
@@ -146,7 +145,7 @@ def create_app(config: CellConfig, path: Path) -> Protection:
 
 
 async def _join_or_start(cell: FollowedCell, control_process: ControlProcess) -> None:
-    if await cell.wait_alive(JOIN_S):
+    if await control_process.may_be_joined() and await cell.wait_alive(JOIN_S):
         _log.info("joined a control process that was there")
         return
     control_process.start()
@@ -164,6 +163,11 @@ def _report_crash(task: asyncio.Task[None]) -> None:
         _log.critical("a background task crashed", exc_info=error)
 
 
+def _was_told_to_end(handler: Any) -> bool:
+    """Return whether the server whose handler of signals this is had a signal before the application started."""
+    return bool(getattr(getattr(handler, "__self__", None), "should_exit", False))
+
+
 @contextmanager
 def _on_signal(at_once: Callable[[], None], soon: Callable[[], None]) -> Generator[None]:
     """Call `at_once` in the handler of a signal that asks the server to end, and `soon` on the event loop.
@@ -176,6 +180,8 @@ def _on_signal(at_once: Callable[[], None], soon: Callable[[], None]) -> Generat
         return
     loop = asyncio.get_running_loop()
     previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    if any(_was_told_to_end(handler) for handler in previous.values()):
+        at_once()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         at_once()

@@ -12,6 +12,7 @@ import structlog
 
 from service.config import CellConfig
 from service.program import PROGRAM, Child
+from wire.endpoints import has_listener
 
 _log = structlog.get_logger("api.control_process")
 
@@ -40,6 +41,12 @@ class ControlProcess:
         self._is_ending = False
         self.child: Child | None = None
         self.note: str | None = None
+
+    async def may_be_joined(self) -> bool:
+        """Return whether a control process may be there; False only where none would be heard and one is wanted."""
+        if not self._config.api.autostart:
+            return True
+        return await asyncio.to_thread(has_listener, self._config.cell.endpoint) is not False
 
     def start(self) -> None:
         """Start the control process, unless `api.autostart` is off or this API is told to end."""

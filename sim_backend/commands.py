@@ -34,7 +34,7 @@ from wire.endpoints import (
     check_host,
 )
 from wire.exits import Exit
-from wire.realtime import request_realtime
+from wire.realtime import SIMULATOR_PRIORITY, request_realtime
 from wire.session import open_session
 from wire.task import Part, Task
 from wire.tls import Access, Certificates, is_encrypted
@@ -53,6 +53,9 @@ _Commander = Annotated[
     list[str] | None, typer.Option(help="Common name of a certificate that may command; may be repeated.")
 ]
 _Reader = Annotated[list[str] | None, typer.Option(help="Common name that may read only; may be repeated.")]
+_Realtime = Annotated[
+    bool, typer.Option("--realtime", help="Ask for real-time scheduling, below that of a control process.")
+]
 
 
 @app.command()
@@ -67,6 +70,7 @@ def serve(
     connect: Annotated[list[str] | None, typer.Option(help="Endpoint to join; may be repeated.")] = None,
     part: Annotated[str, typer.Option(help=f"Peg and hole of the first episode: {_PARTS}.")] = "tr",
     seed: Annotated[int, typer.Option(help="Seed of the first episode.")] = 0,
+    realtime: _Realtime = False,
     allow_remote: Annotated[bool, typer.Option(help="Allow endpoints outside this machine.")] = False,
     authority: _Authority = None,
     certificate: _Certificate = None,
@@ -80,7 +84,7 @@ def serve(
     try:
         task = Task.from_json({"seed": seed, "part": part})
         # before Zenoh starts its threads: the loop sometimes waits for them, and ordinary priority would delay it
-        refused = request_realtime() if mode is Pace.REAL_TIME else ()
+        refused = request_realtime(SIMULATOR_PRIORITY) if realtime and mode is Pace.REAL_TIME else ()
         security = _security(world, endpoints, (authority, certificate, key), commander or [], reader or [])
         session = _open_session(endpoints, connect or [], security, allow_remote=allow_remote)
     except ValueError as error:
@@ -116,6 +120,7 @@ def ur_controller(
     programs: Annotated[
         Path | None, typer.Option(help="Folder of URScript files: NAME.script can be loaded as NAME.urp.")
     ] = None,
+    realtime: _Realtime = False,
     allow_remote: Annotated[bool, typer.Option(help="Allow addresses outside this machine.")] = False,
     authority: _Authority = None,
     certificate: _Certificate = None,
@@ -129,7 +134,7 @@ def ur_controller(
         try:
             task = Task.from_json({"seed": seed, "part": part})
             check_host(host, allow_remote=allow_remote)
-            refused = request_realtime()  # before Zenoh starts its threads, as in `serve`
+            refused = request_realtime(SIMULATOR_PRIORITY) if realtime else ()  # before Zenoh starts, as in `serve`
             session = None
             if listen or connect:
                 security = _security(world, listen or [], (authority, certificate, key), commander or [], reader or [])

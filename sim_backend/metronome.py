@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 MAX_CATCH_UP_TICKS = 3
 """Ticks that may run back to back after a delay; further lost time is not made up."""
-_SPIN_S = 100e-6
 
 
 class Metronome:
@@ -21,7 +20,6 @@ class Metronome:
         self,
         period_s: float,
         *,
-        spin: bool = False,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
@@ -29,7 +27,6 @@ class Metronome:
 
         Args:
             period_s: time between beats, s.
-            spin: busy-wait the last 100 µs; useful only with real-time scheduling.
             clock: returns monotonic time, s.
             sleep: returns after approximately the given time, s.
         """
@@ -37,7 +34,6 @@ class Metronome:
         self.skipped = 0
         self.worst_lateness_s = 0.0
         self._period_s = period_s
-        self._spin_s = _SPIN_S if spin else 0.0
         self._clock = clock
         self._sleep = sleep
         self._due_s = clock()
@@ -46,14 +42,12 @@ class Metronome:
         """Restart the schedule now, after work that was not a tick."""
         self._due_s = self._clock()
 
-    def wait(self) -> None:
-        """Return at the next beat, or at once if it has passed."""
-        self._due_s += self._period_s
+    def wait(self, beats: int = 1) -> None:
+        """Return at the next beat, or so many beats on; at once if it has passed."""
+        self._due_s += beats * self._period_s
         ahead_s = self._due_s - self._clock()
-        if ahead_s > self._spin_s:
-            self._sleep(ahead_s - self._spin_s)
-        while self._spin_s and self._clock() < self._due_s:
-            pass
+        if ahead_s > 0.0:
+            self._sleep(ahead_s)
         late_s = self._clock() - self._due_s
         self.worst_lateness_s = max(self.worst_lateness_s, late_s)
         if late_s > self._period_s:

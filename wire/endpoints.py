@@ -1,7 +1,9 @@
 """Zenoh endpoints: the default one, and the rule that a server stays on this machine unless allowed otherwise."""
 
+import contextlib
 import ipaddress
 import re
+import socket
 
 DEFAULT_WORLD = "world-1"
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7448"
@@ -9,6 +11,9 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:7448"
 
 _LOCAL = "unixsock-stream/"
 """Beginning of the endpoints that are sockets in the file system of this machine."""
+_STREAMS = ("tcp", "tls", "ws")
+"""Protocols whose listener can be told by a connection to it."""
+CONNECT_S = 1.0
 _ENDPOINT = re.compile(r"(?P<protocol>tcp|udp|tls|quic|ws)/(?P<host>\[[^\]]+\]|[^:/\[\]]+):(?P<port>\d{1,5})([?#].*)?")
 
 
@@ -41,6 +46,20 @@ def is_local(endpoint: str) -> bool:
         return endpoint.startswith(_LOCAL) or _is_loopback(_host(endpoint))
     except EndpointError:
         return False
+
+
+def has_listener(endpoint: str) -> bool | None:
+    """Return whether something listens at an endpoint; None where a connection cannot tell.
+
+    Blocks for at most `CONNECT_S`.
+    """
+    match = _ENDPOINT.fullmatch(endpoint)
+    if match is None or match["protocol"] not in _STREAMS:
+        return None
+    with contextlib.suppress(OSError, OverflowError):  # a port beyond 65535 overflows
+        socket.create_connection((match["host"].strip("[]"), int(match["port"])), timeout=CONNECT_S).close()
+        return True
+    return False
 
 
 def check_host(host: str, *, allow_remote: bool) -> None:

@@ -9,37 +9,45 @@ import sys
 import threading
 
 PRIORITY = 40
-"""Priority under SCHED_FIFO: below the kernel's own threads (50), equal for control process and simulator."""
+"""Priority of the control process under SCHED_FIFO: below the kernel's own threads (50)."""
+SIMULATOR_PRIORITY = 30
+"""Priority of a simulator: below the control process that it serves."""
 POLICY_PRIORITY = 20
 """Priority of a policy's process: below the loop that waits for its answer, above all ordinary programs."""
 SWITCH_INTERVAL_S = 5e-4
 """Longest time for which one Python thread may hold up another, s; Python's default is 5 ms."""
 _MCL_CURRENT_AND_FUTURE = 3
+_MCL_ONFAULT = 4
 
 
-def request_realtime() -> tuple[str, ...]:
+def request_realtime(priority: int = PRIORITY) -> tuple[str, ...]:
     """Ask for real-time scheduling of this thread and Python's other ones, and for locked memory.
+
+    Memory is locked as it is used, so that unused parts of stacks and libraries take none. A kernel before 4.4 locks
+    everything at once.
 
     The other threads of Python have it too, lest one of ordinary priority be held up by other programs while it holds
     the interpreter's lock. Threads started afterwards inherit it; those started before by libraries stay as they are.
+
+    Args:
+        priority: under SCHED_FIFO.
 
     Returns:
         One line for each refusal, with its remedy; empty if everything was granted.
     """
     refused: list[str] = []
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         for thread in threading.enumerate():
             with contextlib.suppress(ProcessLookupError):  # it has just ended
-                os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+                os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
         refused.append(
             f"no real-time scheduling ({error.strerror}): a tick may be some milliseconds late; "
             "raise the rtprio limit of this user, or grant CAP_SYS_NICE to the process"
         )
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_MCL_CURRENT_AND_FUTURE):
+    if libc.mlockall(_MCL_CURRENT_AND_FUTURE | _MCL_ONFAULT) and libc.mlockall(_MCL_CURRENT_AND_FUTURE):
         reason = os.strerror(ctypes.get_errno())
         refused.append(
             f"no locked memory ({reason}): a page fault may delay a tick; raise the memlock limit of this user"
@@ -61,12 +69,11 @@ def request_prompt_answers(limit_s: float) -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(POLICY_PRIORITY))
 
 
-def has_realtime_scheduling() -> bool:
-    """Return whether the calling thread runs under SCHED_FIFO."""
-    return os.sched_getscheduler(0) == os.SCHED_FIFO
+def settle_interpreter() -> None:
+    """Keep Python's own pauses shorter than a tick, with or without real-time scheduling.
 
-
-def freeze_garbage() -> None:
-    """Exempt all present objects from garbage collection: one pass over a loaded program lasts longer than a tick."""
+    All present objects are exempt from garbage collection: one pass over a loaded program lasts longer than a tick.
+    """
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     gc.collect()
     gc.freeze()

@@ -75,7 +75,7 @@ STATE = np.dtype(
         *_HEADER,
         ("epoch", "<u8"),  # drawn at random when the world process starts
         ("episode", "<u8"),  # world resets since the process started
-        ("seq", "<u8"),  # ticks since the process started; strictly increasing by one
+        ("seq", "<u8"),  # states since the process started; strictly increasing by one
         ("time_s", "<f8"),  # simulated time of the sample
         ("q", "<f8", 6),
         ("qd", "<f8", 6),

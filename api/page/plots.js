@@ -1,5 +1,6 @@
 // The two live plots: force with its ceiling, and depth with the depth that the lock permits.
-import uPlot from "./vendor/uPlot.esm.js";
+// The page loads uPlot before this module: its minified form is no module.
+const { uPlot } = window;
 
 const WINDOW_S = 20;
 const INK = "#14202b";

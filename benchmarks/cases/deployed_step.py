@@ -90,7 +90,7 @@ def _tails(spans_s: list[float]) -> tuple[str, str]:
 
 def _simulated(shipped: ShippedCell, seconds: float) -> Taken:
     sim = shipped.config.sim
-    world = ("sim", "serve", "--world", sim.world, "--mode", "real-time", "--listen", sim.endpoint)
+    world = ("sim", "serve", "--world", sim.world, "--listen", sim.endpoint, "--realtime")
     with running(MODULE, *world):
         watched = _operated(shipped, seconds)
     with np.load(watched) as tables:

@@ -38,7 +38,7 @@ def measure(scale: float) -> Result:
     for name, arguments in schedulings.items():
         for flooded in (False, True):
             http = "flood" if flooded else "idle"
-            with shipped_cell(api__autostart="false") as shipped:
+            with shipped_cell(api__autostart="false", cell__realtime=str(not arguments)) as shipped:
                 seen = _observe(shipped, arguments, seconds, flooded=flooded)
             tails[name, flooded] = float(np.quantile(seen.late_s, 0.999))
             counts = str(seen.missed), seen.latches
@@ -66,8 +66,9 @@ def measure(scale: float) -> Result:
 def _observe(shipped: ShippedCell, arguments: tuple[str, ...], seconds: float, *, flooded: bool) -> _Observed:
     config, environment = shipped.config, shipped.environment
     watched, waker = config.cell.state_dir / "watched.npz", config.cell.state_dir / "waker.npy"
-    world = ("sim", "serve", "--world", config.sim.world, "--mode", "real-time", "--listen", config.sim.endpoint)
-    service = ("benchmarks.stands.watched_service", str(watched), *arguments)
+    realtime = ("--realtime",) if config.asks_realtime else ()
+    world = ("sim", "serve", "--world", config.sim.world, "--listen", config.sim.endpoint, *realtime)
+    service = ("benchmarks.stands.watched_service", str(watched))
     with (
         running(MODULE, *world),
         running(*service, ready="serving", environment=environment) as control,

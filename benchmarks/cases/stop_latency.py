@@ -48,10 +48,10 @@ def measure(scale: float) -> Result:
     wired: dict[str, list[float]] = {}
     for name, load in LOADS.items():
         with shipped_cell(api__autostart="false") as shipped:
-            wired[name] = _on_the_wire(shipped, (), count, load)
+            wired[name] = _on_the_wire(shipped, count, load)
         rows.append((f"on the wire, {name}", wired[name]))
-    with shipped_cell() as shipped:
-        taken = _on_the_wire(shipped, ("ordinary",), max(5, count // 10), _quiet)
+    with shipped_cell(cell__realtime="false") as shipped:
+        taken = _on_the_wire(shipped, max(5, count // 10), _quiet)
     rows.append(("on the wire, quiet, without real-time scheduling", taken))
     reference = median(echo)
     return Result(
@@ -132,14 +132,12 @@ async def _state(cell: Cell, *wanted: CellState) -> CellState:
     return cell.state
 
 
-def _on_the_wire(shipped: ShippedCell, arguments: tuple[str, ...], count: int, load: Load) -> list[float]:
+def _on_the_wire(shipped: ShippedCell, count: int, load: Load) -> list[float]:
     config = shipped.config
     output = str(config.cell.state_dir / "watched.npz")
     with (
         running("benchmarks.stands.tripping_world", config.sim.endpoint, config.sim.world),
-        running(
-            "benchmarks.stands.watched_service", output, *arguments, ready="serving", environment=shipped.environment
-        ),
+        running("benchmarks.stands.watched_service", output, ready="serving", environment=shipped.environment),
         load(shipped),
     ):
         return asyncio.run(stops(shipped, config.sim.endpoint, count, operating.start))

@@ -25,8 +25,8 @@ def measure(scale: float) -> Result:
     size = HEADER_SIZE + Recipe(OUTPUTS, [fields.OUTPUTS[name] for name in OUTPUTS], 1).size
     echo = _echo(size, max(100, int(2000 * scale)))
     rows = [("bare TCP echo: there and back", echo)]
-    for name, arguments in (("asked for", ()), ("not asked for", ("ordinary",))):
-        rows.append((f"at the socket, real-time scheduling {name}", _stops(arguments, max(5, int(40 * scale)))))
+    for name, realtime in (("asked for", "true"), ("not asked for", "false")):
+        rows.append((f"at the socket, real-time scheduling {name}", _stops(realtime, max(5, int(40 * scale)))))
     reference, taken_s = median(echo), median(rows[1][1])
     return Result(
         question="How long from a package above the ceiling to the stop order, for a UR arm?",
@@ -44,11 +44,11 @@ def measure(scale: float) -> Result:
     )
 
 
-def _stops(arguments: tuple[str, ...], count: int) -> list[float]:
+def _stops(realtime: str, count: int) -> list[float]:
     relay, trips = free_port(), f"tcp/127.0.0.1:{free_port()}"
-    with shipped_ur_cell(ur__rtde_port=str(relay)) as shipped:
+    with shipped_ur_cell(ur__rtde_port=str(relay), cell__realtime=realtime) as shipped:
         output = str(shipped.config.cell.state_dir / "watched.npz")
-        service = "benchmarks.stands.watched_service", output, *arguments
+        service = "benchmarks.stands.watched_service", output
         with (
             running(MODULE, "sim", *controller_options(shipped)),
             running("benchmarks.stands.lying_relay", HOST, str(relay), str(PORT), trips),

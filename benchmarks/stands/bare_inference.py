@@ -13,6 +13,7 @@ import numpy as np
 import onnxruntime
 
 from benchmarks.harness.exchange import spans
+from service.policy.model import session_options
 from wire.realtime import request_prompt_answers
 
 REST_S = 0.1
@@ -21,10 +22,7 @@ LONGEST_S = 30.0
 
 def bare_call(model: Path) -> Callable[[], object]:
     """Return one call on zeros, with the session's settings of a policy and none of its checks."""
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    session = onnxruntime.InferenceSession(model.read_bytes(), options, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(model.read_bytes(), session_options(), providers=["CPUExecutionProvider"])
     feed = {node.name: np.zeros((1, node.shape[1]), np.float32) for node in session.get_inputs()}
     return lambda: session.run(None, feed)
 

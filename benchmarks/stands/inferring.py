@@ -16,7 +16,7 @@ PATIENCE_S = 1.0
 
 
 def main(model: Path) -> None:
-    policy = PolicyProcess(model, step_limit_s=PATIENCE_S, patience_s=PATIENCE_S)
+    policy = PolicyProcess(model, step_limit_s=PATIENCE_S, patience_s=PATIENCE_S, realtime=True)
     _, contract = policy.loaded()
     observation = np.zeros(contract.observation_size, np.float32)
     inference = policy.infer(_discard, _fail)

@@ -15,14 +15,14 @@ import numpy as np
 
 from benchmarks.harness.processes import READY
 from benchmarks.stands.rtde_connection import READ_BYTES, started
-from wire.realtime import freeze_garbage, request_realtime
+from wire.realtime import request_realtime, settle_interpreter
 from wire.rtde.codec import PackageType
 
 _STAMP = struct.Struct(">Bd")
 
 
 def main(host: str, output: Path) -> None:
-    freeze_garbage()
+    settle_interpreter()
     request_realtime()
     signal.signal(signal.SIGTERM, _end)
     connection, reader = started(host, ("timestamp",))

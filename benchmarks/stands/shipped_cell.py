@@ -32,7 +32,7 @@ class ShippedCell:
 
 @contextmanager
 def shipped_cell(file: Path | None = None, **overrides: str) -> Generator[ShippedCell]:
-    """Read the configuration and replace ports and folder.
+    """Read the configuration and replace ports and folder. The cell's processes ask for real-time scheduling.
 
     Args:
         file: file to read instead of the control process's own.
@@ -47,6 +47,7 @@ def shipped_cell(file: Path | None = None, **overrides: str) -> Generator[Shippe
             "cell__state_dir": folder,
             "sim__endpoint": f"tcp/127.0.0.1:{free_port()}",
             "api__port": str(free_port()),
+            "cell__realtime": "true",
             **overrides,
         }
         variables = {f"DSL_ASSEMBLY__{name.upper()}": value for name, value in fields.items()}

@@ -44,8 +44,8 @@ class TrippingCell(SimulatedCell):
         self._due_seq = int(state["seq"][0]) + self._draws.randint(*AFTER_TICKS)
         return state
 
-    def tick(self) -> RecordArray:
-        record = super().tick()
+    def tick(self, ticks: int = 1) -> RecordArray:
+        record = super().tick(ticks)
         if self._query is not None and self._due_seq is not None and record["seq"][0] >= self._due_seq:
             record["wrench"][0, 2] = FORCE_N
             self._due_seq = None

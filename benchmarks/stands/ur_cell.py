@@ -39,4 +39,4 @@ def plan_first(config: CellConfig) -> Plan:
 def controller_options(shipped: ShippedCell) -> tuple[str, ...]:
     """Return options of `dsl-assembly sim ur-controller` that give it this cell's arm and world."""
     sim = shipped.config.sim
-    return "ur-controller", "--host", HOST, "--world", sim.world, "--listen", sim.endpoint
+    return "ur-controller", "--host", HOST, "--world", sim.world, "--listen", sim.endpoint, "--realtime"

@@ -18,7 +18,7 @@ import onnxruntime
 from benchmarks.harness.processes import READY
 from benchmarks.stands.rtde_connection import RATE_HZ
 from wire.limits import FORCE_CEILING_N
-from wire.realtime import freeze_garbage, request_realtime
+from wire.realtime import request_realtime, settle_interpreter
 from wire.records import TICK_S
 
 STEP_TICKS = 50
@@ -32,7 +32,7 @@ def main(host: str, model: Path, seconds: float, output: Path) -> None:
     options.intra_op_num_threads = 1
     session = onnxruntime.InferenceSession(model.read_bytes(), options, providers=["CPUExecutionProvider"])
     feed = {node.name: np.zeros((1, node.shape[1]), np.float32) for node in session.get_inputs()}
-    freeze_garbage()
+    settle_interpreter()
     request_realtime()
     window: deque[list[float]] = deque(maxlen=STEP_TICKS)
     judged: list[tuple[float, float]] = []

@@ -14,7 +14,7 @@ from types import FrameType
 import numpy as np
 
 from benchmarks.harness.processes import READY
-from wire.realtime import freeze_garbage, request_realtime
+from wire.realtime import request_realtime, settle_interpreter
 from wire.records import TICK_S
 
 _TIMER_ABSTIME = 1
@@ -26,7 +26,7 @@ class _Timespec(ctypes.Structure):
 
 
 def main(output: Path, *, ordinary: bool) -> None:
-    freeze_garbage()
+    settle_interpreter()
     if not ordinary:
         request_realtime()
     sleep_until = ctypes.CDLL(None).clock_nanosleep

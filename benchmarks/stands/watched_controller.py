@@ -1,12 +1,13 @@
 """The emulated controller's command with one addition: it records the lateness and duration of its ticks.
 
-Run `python -m benchmarks.stands.watched_controller OUTPUT HOST [ordinary]`. `ordinary` omits the request for real-time
-scheduling. At the end it writes one row per tick to OUTPUT (`.npy`), in s: monotonic time of its begin, lateness of its
-beat, duration. A program sent by ur_rtde runs again, as a secondary one, beside a later main program.
+Run `python -m benchmarks.stands.watched_controller OUTPUT OPTION…` with the options of `dsl-assembly sim
+ur-controller`. At the end it writes one row per tick to OUTPUT (`.npy`), in s: monotonic time of its begin, lateness of
+its beat, duration. A program sent by ur_rtde runs again, as a secondary one, beside a later main program.
 """
 
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +22,13 @@ from sim_backend.ur_controller.server import ControllerServer
 _UR_RTDE = "def rtde_control("
 
 
-def main(output: Path, host: str, *, ordinary: bool) -> None:
+def main(output: Path, options: Sequence[str]) -> None:
     late_s: list[float] = []
 
     class WatchedMetronome(Metronome):
-        def wait(self) -> None:
-            due_s = self._due_s + self._period_s
-            super().wait()
+        def wait(self, beats: int = 1) -> None:
+            due_s = self._due_s + beats * self._period_s
+            super().wait(beats)
             late_s.append(time.monotonic() - due_s)
 
     run_script = Controller.run_script
@@ -42,11 +43,9 @@ def main(output: Path, host: str, *, ordinary: bool) -> None:
 
     server.Metronome = WatchedMetronome
     Controller.run_script = run_beside
-    if ordinary:
-        command.request_realtime = lambda: ("real-time scheduling was not asked for",)
     with timed(ControllerServer, "step") as steps:
         try:
-            command.app(["ur-controller", "--host", host])
+            command.app(["ur-controller", *options])
         finally:
             begins = np.array([begin for begin, _ in steps.calls])
             count = len(begins)
@@ -54,4 +53,4 @@ def main(output: Path, host: str, *, ordinary: bool) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2], ordinary="ordinary" in sys.argv[3:])
+    main(Path(sys.argv[1]), sys.argv[2:])

@@ -1,7 +1,7 @@
 """The control process with one addition: it records when its loop judges each sample, and each policy step.
 
-Run `python -m benchmarks.stands.watched_service OUTPUT [ordinary]`; the environment gives the configuration. `ordinary`
-omits the request for real-time scheduling. At the end it writes tables, in s, to OUTPUT (`.npz`):
+Run `python -m benchmarks.stands.watched_service OUTPUT`; the environment gives the configuration. At the end it writes
+tables, in s, to OUTPUT (`.npz`):
 
 - `late`, one number per sample: from its arrival in the transport's thread to the end of its judgement.
 - `judged`, one row per sample: its time stamp by the arm's clock, and the end of its judgement by the host's clock.
@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness.stopwatch import Stopwatch, timed
-from service.cell import process
 from service.cell.cell import Cell
 from service.cell.policy_process import WorkerInference
 from service.commands.control import control
@@ -54,7 +53,7 @@ def policy_steps(
     return np.array(rows).reshape(-1, 4)
 
 
-def main(output: Path, *, ordinary: bool) -> None:
+def main(output: Path) -> None:
     late_s: list[float] = []
     judged_s: list[tuple[float, float]] = []
     stamps: list[tuple[float, float]] = []
@@ -68,8 +67,6 @@ def main(output: Path, *, ordinary: bool) -> None:
         judged_s.append((sample.time_s, now_s))
 
     Cell.on_sample = on_sample
-    if ordinary:
-        process.request_realtime = lambda: ("real-time scheduling was not asked for",)
     with (
         timed(Cell, "on_sample") as judged,
         timed(WorkerInference, "ask") as asked,
@@ -86,4 +83,4 @@ def main(output: Path, *, ordinary: bool) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), ordinary="ordinary" in sys.argv[2:])
+    main(Path(sys.argv[1]))

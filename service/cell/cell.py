@@ -91,7 +91,9 @@ class Cell:
         self.unlinked = asyncio.Event()
         self.unlinked.set()
         opener = (
-            PolicyProcess.opener(config.limits.policy_deadline_s, lockstep=driver.mode == "lockstep")
+            PolicyProcess.opener(
+                config.limits.policy_deadline_s, lockstep=driver.mode == "lockstep", realtime=config.asks_realtime
+            )
             if inference is None
             else InProcessPolicy.opener(inference)
         )

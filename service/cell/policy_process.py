@@ -40,13 +40,20 @@ class PolicyProcess:
         step_limit_s: longest admissible time of one inference, s.
         patience_s: host time for which `Inference.ask` waits for its answer; None: it does not wait, and the answer
             comes to the event loop.
+        realtime: the process asks for real-time scheduling, below the loop's.
 
     Raises:
         OSError: no process can be made.
     """
 
     def __init__(
-        self, path: Path, expected_sha256: str | None = None, *, step_limit_s: float, patience_s: float | None = None
+        self,
+        path: Path,
+        expected_sha256: str | None = None,
+        *,
+        step_limit_s: float,
+        patience_s: float | None = None,
+        realtime: bool = False,
     ) -> None:
         self.source = str(path)
         self.actions = 0
@@ -54,7 +61,8 @@ class PolicyProcess:
         self._step_limit_s = step_limit_s
         self.socket, theirs = socket.socketpair()
         with theirs:
-            arguments = (str(theirs.fileno()), str(os.getpid()), str(path), expected_sha256 or "")
+            scheduling = "realtime" if realtime else "ordinary"
+            arguments = (str(theirs.fileno()), str(os.getpid()), scheduling, str(path), expected_sha256 or "")
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "service.policy.worker", *arguments],
                 stdin=subprocess.DEVNULL,
@@ -68,17 +76,18 @@ class PolicyProcess:
         self._attendant.start()
 
     @classmethod
-    def opener(cls, step_limit_s: float, *, lockstep: bool) -> PolicyOpener:
+    def opener(cls, step_limit_s: float, *, lockstep: bool, realtime: bool = False) -> PolicyOpener:
         """Return what opens the policies of a cell.
 
         Args:
             step_limit_s: longest admissible time of one inference, s.
             lockstep: the world waits for each answer.
+            realtime: their processes ask for real-time scheduling.
         """
 
         def open_policy(path: Path, expected_sha256: str | None) -> PolicyProcess:
             patience_s = LOCKSTEP_S if lockstep else None
-            return cls(path, expected_sha256, step_limit_s=step_limit_s, patience_s=patience_s)
+            return cls(path, expected_sha256, step_limit_s=step_limit_s, patience_s=patience_s, realtime=realtime)
 
         return open_policy
 

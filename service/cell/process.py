@@ -21,7 +21,7 @@ from service.messages import QUERY_STATUS, STATUS_ANSWER, CellState, EventKind
 from service.notify import Notifier
 from service.tasks import end_tasks
 from wire.endpoints import EndpointInUseError
-from wire.realtime import freeze_garbage, request_realtime
+from wire.realtime import request_realtime, settle_interpreter
 from wire.session import close_session, open_session, query
 from wire.tls import Access, is_encrypted
 
@@ -107,9 +107,10 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
         loop.add_signal_handler(number, ended.set)
     cell = Cell(config, driver, time_of_day=time.time)
     if driver.mode == "real_time":
-        freeze_garbage()  # collecting takes tens of milliseconds, which must not pass at real-time priority
-        # Before Zenoh starts its threads: the loop would have to wait for a thread of ordinary priority
-        cell.degradations = request_realtime()
+        settle_interpreter()  # collecting takes tens of milliseconds, which must not pass at real-time priority
+        if config.asks_realtime:
+            # Before Zenoh starts its threads: the loop would have to wait for a thread of ordinary priority
+            cell.degradations = request_realtime()
     for line in cell.degradations:
         _log.warning("degraded", what=line)
     await _await_policies(cell, ended)

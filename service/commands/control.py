@@ -39,7 +39,8 @@ def _world(cell: CellConfig) -> AbstractContextManager[Simulator]:
 def _simulator_of(cell: CellConfig) -> tuple[Sequence[str], Sequence[str]] | None:
     """Return the simulator's arguments and the endpoints at which it listens; None for a real arm."""
     sim = cell.sim
-    world = ("--world", sim.world, "--listen", sim.endpoint, *_security(cell))
+    realtime = ("--realtime",) if cell.asks_realtime else ()
+    world = ("--world", sim.world, "--listen", sim.endpoint, *realtime, *_security(cell))
     match cell.cell.driver:
         case "zenoh_sim":
             return ("sim", "serve", "--mode", sim.mode.replace("_", "-"), *world), (sim.endpoint,)

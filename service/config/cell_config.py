@@ -12,6 +12,7 @@ from service.config.checks import (
     between_limits_and_preflight,
     beyond_arm,
     recipes_beyond_limits,
+    samples_too_rare,
     within_limits,
     within_preflight,
     without_robot,
@@ -71,6 +72,7 @@ class CellConfig(BaseSettings):
             *within_limits(self.limits),
             *within_preflight(self.preflight),
             *between_limits_and_preflight(self.limits, self.preflight),
+            *samples_too_rare(self.cell, self.sim, self.limits),
             *recipes_beyond_limits(self.recipes, self.limits),
             *without_robot(self.cell, self.ur),
             *(() if self.ur is None else beyond_arm(self.ur, self.recipes, self.limits)),
@@ -96,6 +98,13 @@ class CellConfig(BaseSettings):
         """Certificates of this process; None without `[tls]`."""
         tls = self.tls
         return None if tls is None else Certificates(tls.authority, tls.certificate, tls.key)
+
+    @property
+    def asks_realtime(self) -> bool:
+        """True where the cell's processes ask for real-time scheduling and locked memory."""
+        if self.cell.realtime is not None:
+            return self.cell.realtime
+        return self.cell.driver == "ur" and self.ur is not None and not self.ur.simulated
 
     @property
     def sees_hole(self) -> bool:

@@ -4,9 +4,10 @@ from collections.abc import Iterator, Mapping
 from math import hypot
 
 from service.config.limits import LimitsSection, PreflightSection
-from service.config.sections import CellSection, RecipeSection
+from service.config.sections import CellSection, RecipeSection, SimSection
 from service.config.ur import RATINGS, UrSection
 from wire.impact import fastest_m_s
+from wire.modes import RESTING_PERIOD_S
 
 
 def within_limits(limits: LimitsSection) -> Iterator[str]:
@@ -35,6 +36,16 @@ def between_limits_and_preflight(limits: LimitsSection, preflight: PreflightSect
         yield (
             f"preflight.contact_force_n is {preflight.contact_force_n:g} N, it must be below limits.force_ceiling_n "
             f"({limits.force_ceiling_n:g} N)"
+        )
+
+
+def samples_too_rare(cell: CellSection, sim: SimSection, limits: LimitsSection) -> Iterator[str]:
+    """Yield an age of samples that a simulated cell at rest reaches."""
+    rests = cell.driver == "zenoh_sim" and sim.mode == "real_time"
+    if rests and limits.sample_age_s < 2 * RESTING_PERIOD_S:
+        yield (
+            f"limits.sample_age_s is {limits.sample_age_s:g} s, a simulated cell in real time needs at least "
+            f"{2 * RESTING_PERIOD_S:g} s: at rest it gives a sample every {RESTING_PERIOD_S:g} s"
         )
 
 

@@ -21,12 +21,15 @@ class CellSection(Section):
         endpoint: Zenoh endpoint that the control process listens on.
         driver: `zenoh_sim` for a simulated cell over Zenoh, `ur` for an e-Series controller, real or emulated.
         state_dir: folder of latch and ledger.
+        realtime: whether control process, policies and simulator ask the host for real-time scheduling and locked
+            memory; None: only for a real arm.
     """
 
     id: Name
     endpoint: Endpoint = "tcp/127.0.0.1:7447"
     driver: Literal["zenoh_sim", "ur"] = "zenoh_sim"
     state_dir: Path
+    realtime: bool | None = None
 
 
 class RecipeSection(Section):

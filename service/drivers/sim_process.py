@@ -5,11 +5,11 @@ import time
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from socket import create_connection
 
 import structlog
 
 from service.program import Child
+from wire.endpoints import has_listener
 
 START_S = 30.0
 END_S = 1.0
@@ -41,7 +41,7 @@ class Simulator:
             return
         deadline = time.monotonic() + START_S
         for endpoint in self._endpoints:
-            while not _listens(endpoint):
+            while not has_listener(endpoint):
                 if (ending := self.child.ending()) is not None:
                     raise OSError(ending)
                 if time.monotonic() > deadline:
@@ -76,7 +76,7 @@ def simulator(arguments: Sequence[str], endpoints: Sequence[str], log: Path) -> 
     Raises:
         OSError: the simulator cannot be started.
     """
-    if _listens(endpoints[0]):
+    if has_listener(endpoints[0]):
         yield Simulator()
         return
     # A session of its own: Ctrl-C reaches the control process alone, which stops the arm before it ends the world.
@@ -87,12 +87,3 @@ def simulator(arguments: Sequence[str], endpoints: Sequence[str], log: Path) -> 
     finally:
         child.end(END_S)
         _log.info("ended", name=child.name, pid=child.process.pid, status=child.process.returncode)
-
-
-def _listens(endpoint: str) -> bool:
-    host, _, port = endpoint.partition("/")[2].rpartition(":")
-    try:
-        with create_connection((host.strip("[]"), int(port)), timeout=1.0):
-            return True
-    except (OSError, ValueError):
-        return False

@@ -83,7 +83,12 @@ class Policy:
         if self._recurrent:
             self._inputs["hidden"] = self._outputs["next_hidden"] = self.contract.hidden_size
         try:
-            self._session = _session(data)
+            self._session = onnxruntime.InferenceSession(
+                data,
+                session_options(),
+                providers=["CPUExecutionProvider"],
+                enable_fallback=0,  # it prints to the console and tries the same provider again
+            )
             inputs, outputs = (
                 [(node.name, node.type, list(node.shape)) for node in nodes]
                 for nodes in (self._session.get_inputs(), self._session.get_outputs())
@@ -129,7 +134,7 @@ class Policy:
                 not finite or has another shape (ONNX Runtime passes NaN through silently). FAILED: ONNX Runtime raised
                 an error.
         """
-        size = self.contract.observation_size
+        size = self._inputs["observation"]
         if observation.shape[-1:] != (size,) or not np.isfinite(observation).all():
             raise PolicyError(
                 PolicyFault.INVALID_OBSERVATION,
@@ -234,7 +239,8 @@ def _check_operators(head: onnx_file.OnnxFile, source: str) -> None:
         )
 
 
-def _session(data: bytes) -> Any:
+def session_options() -> Any:
+    """Return the options under which ONNX Runtime loads a policy."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
@@ -242,5 +248,8 @@ def _session(data: bytes) -> Any:
     # A spinning thread would take a core from the 500 Hz loop
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
-    # The fallback prints to the console and tries the same provider again
-    return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"], enable_fallback=0)
+    # Weights stored as small integers are unpacked once, not at every step. Packed for the processor they would give
+    # other last bits.
+    options.add_session_config_entry("session.disable_quant_qdq", "1")
+    options.add_session_config_entry("session.disable_prepacking", "1")
+    return options

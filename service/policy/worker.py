@@ -9,6 +9,7 @@ import contextlib
 import json
 import os
 import resource
+import select
 import signal
 import socket
 import statistics
@@ -29,11 +30,13 @@ HEAD = struct.Struct("<BI")
 """Head of a frame: its kind, and the length of its payload in bytes."""
 PAYLOAD_LIMIT_BYTES = 2**20
 NICENESS = 1
-"""Distance from an ordinary process's priority while it loads, and where the host grants no real-time scheduling."""
+"""Distance from an ordinary process's priority while it loads, and without real-time scheduling."""
 MEMORY_LIMIT_BYTES = 2**30
 """Address space of a worker. Python, numpy and ONNX Runtime take about a quarter of it, a model's file 16 MiB."""
 LONGEST_INFERENCE_S = 2.0
 """Processor time of one inference after which the kernel kills the process; no deadline of a cell is as long, s."""
+WARM_UP_S = 1e-3
+"""Time before the next observation is due at which the last inference is repeated, s; its result is discarded."""
 REHEARSALS = 9
 """Inferences at zero that are timed after loading; the median is reported."""
 
@@ -82,13 +85,14 @@ def decode(received: bytes | bytearray) -> tuple[Kind, bytes] | None:
     return kind, bytes(received[HEAD.size : HEAD.size + length])
 
 
-def serve(connection: socket.socket, path: Path, sha256: str | None) -> None:
+def serve(connection: socket.socket, path: Path, sha256: str | None, *, realtime: bool) -> None:
     """Load a policy, say so, and answer until the parent closes the connection.
 
     Args:
         connection: to the parent.
         path: ONNX file.
         sha256: hex digest that the file must have; None: any.
+        realtime: ask for real-time scheduling.
     """
     try:
         policy = Policy.load(path, expected_sha256=sha256)
@@ -100,19 +104,25 @@ def serve(connection: socket.socket, path: Path, sha256: str | None) -> None:
         text = f"{path} needs more than {MEMORY_LIMIT_BYTES >> 20} MiB"
         connection.sendall(_refusal(PolicyError(PolicyFault.TOO_LARGE, text)))
         return
-    request_prompt_answers(LONGEST_INFERENCE_S)
+    if realtime:
+        request_prompt_answers(LONGEST_INFERENCE_S)
     connection.sendall(encode(Kind.LOADED, json.dumps(loaded).encode()))
     hidden = policy.initial_hidden()
     received = bytearray()
     while data := connection.recv(PAYLOAD_LIMIT_BYTES):
+        arrived_s = time.monotonic()
         received += data
         while (frame := decode(received)) is not None:
             kind, payload = frame
             del received[: HEAD.size + len(payload)]
             if kind is Kind.FIRST:
                 hidden = policy.initial_hidden()
-            answer, hidden = _answer(policy, np.frombuffer(payload, np.float32), hidden)
+            asked = np.frombuffer(payload, np.float32), hidden
+            answer, hidden = _answer(policy, *asked)
             connection.sendall(answer)
+            rest_s = arrived_s + policy.contract.period_s - WARM_UP_S - time.monotonic()
+            if not select.select([connection], [], [], max(0.0, rest_s))[0]:
+                _answer(policy, *asked)
 
 
 def _answer(
@@ -154,18 +164,19 @@ def _confine(parent: int) -> None:
         resource.setrlimit(what, (most, hard))
 
 
-def main(handle: str, parent: str, path: str, sha256: str) -> None:
+def main(handle: str, parent: str, scheduling: str, path: str, sha256: str) -> None:
     """Serve one policy.
 
     Args:
         handle: number of the inherited socket.
         parent: process id of the parent.
+        scheduling: `realtime` or `ordinary`.
         path: ONNX file.
         sha256: hex digest that the file must have; empty: any.
     """
     _confine(int(parent))
     with socket.socket(fileno=int(handle)) as connection, contextlib.suppress(BrokenPipeError, ConnectionResetError):
-        serve(connection, Path(path), sha256 or None)
+        serve(connection, Path(path), sha256 or None, realtime=scheduling == "realtime")
 
 
 if __name__ == "__main__":

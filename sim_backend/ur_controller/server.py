@@ -12,7 +12,7 @@ from sim_backend.ur_controller.outputs import Outputs
 from sim_backend.ur_controller.primary_server import PrimaryService
 from sim_backend.ur_controller.rtde_server import RtdeService
 from wire.primary import packages, realtime
-from wire.realtime import freeze_garbage, has_realtime_scheduling
+from wire.realtime import settle_interpreter
 from wire.records import TICK_S
 from wire.rtde import messages
 
@@ -114,8 +114,8 @@ class ControllerServer:
         Args:
             companion: called after every tick.
         """
-        freeze_garbage()
-        metronome = Metronome(TICK_S, spin=has_realtime_scheduling())
+        settle_interpreter()
+        metronome = Metronome(TICK_S)
         while not self._dashboard.shutdown_requested:
             metronome.wait()
             self.step()

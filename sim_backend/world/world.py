@@ -343,11 +343,10 @@ class World:
     @property
     def contained(self) -> BoolArray:
         """(n,) mask: the peg's axis lies inside the hole's outline, and its bottom is not below the hole's floor."""
-        walls = np.stack([hole_walls(self._scene.part, c) for c in np.unique(self.clearance)])
-        of_cell = walls[np.searchsorted(np.unique(self.clearance), self.clearance)]
+        walls = hole_walls(self._scene.part, self.clearance)
         offset = self.offset
-        along = np.cos(of_cell[:, :, 0]) * offset[:, :1] + np.sin(of_cell[:, :, 0]) * offset[:, 1:]
-        inside = np.logical_and.reduce(along <= of_cell[:, :, 1], axis=1)
+        along = np.cos(walls[:, :, 0]) * offset[:, :1] + np.sin(walls[:, :, 0]) * offset[:, 1:]
+        inside = np.logical_and.reduce(along <= walls[:, :, 1], axis=1)
         return inside & (self.depth <= HOLE_DEPTH_M + FLOOR_GIVE_M)
 
     @property

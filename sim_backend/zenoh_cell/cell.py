@@ -49,6 +49,7 @@ class SimulatedCell:
         self._record = StateRecord()
         self._episode = 0
         self._seq = 0
+        self._ticks = 0
         self._client = 0
         self._command_seq = 0
 
@@ -106,9 +107,15 @@ class SimulatedCell:
         elif kind == Kind.UNLOCK:
             arm.unlock(_ONLY)
 
-    def tick(self) -> RecordArray:
-        """Advance by one tick; return the new state, (1,) of `records.STATE`."""
+    def tick(self, ticks: int = 1) -> RecordArray:
+        """Let time pass; return the new state, (1,) of `records.STATE`.
+
+        Args:
+            ticks: ticks that pass. The world is computed for the last of them alone: more than one are for an arm at
+                rest that nothing drives.
+        """
         self._world.tick()
+        self._ticks += ticks
         self._joint_sense.read(self._world, scene.PAYLOAD_KG, _CENTRE, _TCP)
         self._seq += 1
         return self.state()
@@ -119,7 +126,7 @@ class SimulatedCell:
             "epoch": self.epoch,
             "episode": self._episode,
             "seq": self._seq,
-            "time_s": self._seq * TICK_S,
+            "time_s": self._ticks * TICK_S,
             "command_seq": self._command_seq,
             "client": self._client,
         }

@@ -17,13 +17,15 @@ from sim_backend.metronome import Metronome
 from sim_backend.requests import RequestError, asked, query_keys
 from sim_backend.zenoh_cell import answers
 from sim_backend.zenoh_cell.cell import SimulatedCell
+from sim_backend.zenoh_cell.rest import Rest
 from wire import keys, records
-from wire.realtime import freeze_garbage, has_realtime_scheduling
+from wire.realtime import settle_interpreter
 
 _QUERY_CAPACITY = 64
 _COMMAND_CAPACITY = 256
 MAX_COMMANDS_PER_TICK = 32
 """Commands that one tick applies; if more arrive, the newest are kept. STOP is never dropped."""
+_DRIVEN = (records.Program.ENGAGED, records.Program.STOPPING)
 
 _QUERIES = {
     "advance": keys.ADVANCE, "reset": keys.RESET, "claim": keys.CLAIM, "release": keys.RELEASE,
@@ -105,20 +107,25 @@ class Server:
                 self._commands.undeclare()
 
     def _run_in_real_time(self) -> NoReturn:
-        freeze_garbage()
-        metronome = Metronome(records.TICK_S, spin=has_realtime_scheduling())
+        settle_interpreter()
+        metronome = Metronome(records.TICK_S)
+        rest = Rest()
         while True:
-            metronome.wait()
-            for command in self._take_commands():
+            metronome.wait(rest.ticks)
+            commands = self._take_commands()
+            for command in commands:
                 answers.apply(self._cell, self._holding, command)
-            self._state.put(self._cell.tick().tobytes())
+            state = self._cell.tick(rest.ticks)
+            self._state.put(state.tobytes())
             self.counters.ticks += 1
             self.counters.overruns = metronome.overruns
             self.counters.skipped = metronome.skipped
             self.counters.worst_lateness_s = metronome.worst_lateness_s
             query = self._queries.try_recv()
-            if query is not None and self._answer(query):
+            laid_out = query is not None and self._answer(query)
+            if laid_out:
                 metronome.restart()
+            rest.note(disturbed=bool(commands) or laid_out or int(state["program"][0]) in _DRIVEN)
 
     def _take_commands(self) -> list[npt.NDArray[Any]]:
         """Return the commands since the last tick: stops first, then those after the last stop, in order."""

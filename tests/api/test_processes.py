@@ -11,10 +11,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
+import pytest
 
+from api import application
 from service.config import PATH_VARIABLE
 from service.messages import CellState
-from tests.api.wire_cell import WireCell, free_port, serving, write_config
+from tests.api.wire_cell import WireCell, free_port, serving, until, write_config
 
 ROOT = Path(__file__).parents[2]
 
@@ -74,6 +76,26 @@ async def test_a_control_process_that_is_there_is_joined_and_left_running(tmp_pa
         before = cell.seq
         await asyncio.sleep(0.2)
         assert cell.seq > before
+
+
+async def test_a_control_process_is_started_at_once_where_nothing_listens(
+    tmp_path: Path, cell_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(application, "JOIN_S", 3600.0)
+    async with serving(write_config(tmp_path, cell_port, autostart=True)) as api:
+        await until(lambda: api.runtime.control_process.child is not None)
+
+
+async def test_a_control_process_that_listens_is_given_time_to_be_heard(
+    tmp_path: Path, cell_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(application, "JOIN_S", 3600.0)
+    path = write_config(tmp_path, cell_port, autostart=True)
+    with socket.create_server(("127.0.0.1", cell_port)) as silent:
+        async with serving(path) as api:
+            silent.accept()[0].close()
+            await asyncio.sleep(0.2)
+            assert api.runtime.control_process.child is None
 
 
 def test_a_missing_configuration_is_one_line(tmp_path: Path) -> None:

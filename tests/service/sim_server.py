@@ -19,7 +19,7 @@ def sim_process(endpoint: str, mode: str = "real-time", world: str = "world-1") 
     process = subprocess.Popen(
         [
             *command("sim", "serve"),
-            *("--world", world, "--mode", mode, "--listen", endpoint),
+            *("--world", world, "--mode", mode, "--listen", endpoint, "--realtime"),
         ],
         stdout=subprocess.PIPE,
         text=True,

@@ -69,6 +69,15 @@ def test_a_long_delay_never_ends_in_a_burst() -> None:
     assert beat.worst_lateness_s == pytest.approx(1.0 - PERIOD_S)
 
 
+def test_several_beats_may_be_waited_for_at_once() -> None:
+    time = VirtualTime()
+    beat = metronome(time)
+    for beats in (5, 1, 5):
+        beat.wait(beats)
+    assert time.now_s == pytest.approx(100.0 + 11 * PERIOD_S)
+    assert (beat.overruns, beat.skipped) == (0, 0)
+
+
 def test_a_restart_forgives_what_went_before() -> None:
     time = VirtualTime()
     beat = metronome(time)

@@ -18,6 +18,7 @@ import greenlet
 
 PLACE: ContextVar["Place"] = ContextVar("PLACE")
 START_S = 1000.0
+EXECUTOR_POLL_S = 0.01
 
 
 class DeadlockError(Exception):
@@ -51,7 +52,8 @@ class Process:
         self.frozen_until = 0.0
         self.main = Place(self, "loop")
         self.on_kill: list[Callable[[], None]] = []
-        self.signal_handlers: dict[int, Callable[[], object]] = {}
+        self.executing: list[Thread] = []
+        self.signal_handlers: dict[int, Callable[..., object]] = {}
 
     def spawn(self, work: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
         """Start a task on the process's loop."""
@@ -76,7 +78,12 @@ class Process:
         """Deliver a signal that the process handles on its loop."""
         handler = self.signal_handlers.get(number)
         if handler is not None:
-            self.loop.call_soon(handler, context=self.main.context.copy())
+            self.loop.call_soon(handler, number, None, context=self.main.context.copy())
+
+    async def await_executor(self) -> None:
+        """Wait for the threads that were lent to `asyncio.to_thread`, as `asyncio.run` does at its end."""
+        while any(thread.is_alive() for thread in self.executing):
+            await asyncio.sleep(EXECUTOR_POLL_S)
 
 
 def here() -> Place:
@@ -127,6 +134,7 @@ class VirtualLoop(asyncio.BaseEventLoop):
     def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:
         """Run `func` on a simulated thread of the calling process."""
         future: Future[Any] = Future()
+        future.set_running_or_notify_cancel()  # whoever gives up waiting does not take the call back
 
         def work() -> None:
             try:
@@ -136,13 +144,16 @@ class VirtualLoop(asyncio.BaseEventLoop):
             else:
                 future.set_result(result)
 
-        Thread(target=work, name="executor").start()
+        executing = here().process.executing
+        executing[:] = [one for one in executing if one.is_alive()]
+        executing.append(thread := Thread(target=work, name="executor"))
+        thread.start()
         return asyncio.wrap_future(future, loop=self)
 
     async def shutdown_default_executor(self, timeout: float | None = None) -> None: ...
 
     def add_signal_handler(self, sig: int, callback: Callable[..., object], *args: Any) -> None:
-        here().process.signal_handlers[int(sig)] = lambda: callback(*args)
+        here().process.signal_handlers[int(sig)] = lambda *_: callback(*args)
 
     def remove_signal_handler(self, sig: int) -> bool:
         return here().process.signal_handlers.pop(int(sig), None) is not None
@@ -282,6 +293,8 @@ class Thread:
             pass
         finally:
             self._ended = True
+            if self in self._loop.threads:
+                self._loop.threads.remove(self)
             for wake in self._joining:
                 wake()
 

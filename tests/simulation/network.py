@@ -89,13 +89,18 @@ class Link:
 
 
 class Network:
-    """Every session of one universe. Sessions that name a common endpoint hear each other."""
+    """Every session of one universe. Sessions that name a common endpoint hear each other.
+
+    Attributes:
+        heard: key and content of every query, as somebody on the network can record them.
+    """
 
     def __init__(self, loop: VirtualLoop, chance: random.Random) -> None:
         self.loop = loop
         self.chance = chance
         self.sessions: list[Session] = []
         self.links: dict[tuple[str, str], Link] = {}
+        self.heard: list[tuple[str, bytes]] = []
         self.sent = 0
 
     def link(self, source: str, target: str) -> Link:
@@ -127,6 +132,10 @@ class Network:
         self.sessions.append(session)
         process.on_kill.append(session.close)
         return session
+
+    def has_listener(self, endpoint: str) -> bool:
+        """Stand in for `wire.endpoints.has_listener`, for the endpoint of a control process."""
+        return any(session.process.name == "control" and endpoint in session.endpoints for session in self.sessions)
 
     def peers(self, session: "Session") -> list["Session"]:
         return [other for other in self.sessions if other is not session and other.endpoints & session.endpoints]
@@ -223,6 +232,8 @@ class Session:
             asked.finish()
             return
         self.asked.append(asked)
+        if payload:
+            self.network.heard.append((key, bytes(payload)))
         self.network.loop.call_later(timeout, asked.time_out, context=self.place.context.copy())
         for peer in self.network.peers(self):
             for queryable in peer.queryables:

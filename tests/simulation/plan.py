@@ -10,6 +10,10 @@ from tests.simulation.plant import Surroundings
 
 PARTS = ("world", "control", "api", "operator")
 LINKS = (("operator", "api"), ("api", "control"), ("control", "world"))
+SPELLINGS: tuple[dict[str, str], ...] = (
+    {}, {}, {}, {"path": "/stop/"}, {"path": "/cell/Stop"}, {"host": "cell.example:8000"}
+)  # fmt: skip
+"""Ways in which people and proxies write a stop."""
 LENGTH_S = 3.2
 """Time in which requests and faults happen."""
 
@@ -34,6 +38,7 @@ class Plan:
     Attributes:
         policy: name of the policy that runs.
         lie: name of what is wrong with the sensor, from `lie_s` on.
+        autostart: the API starts the control process.
         patience_s: time that a run has to end by itself, before it is stopped for the end of the story.
     """
 
@@ -44,6 +49,7 @@ class Plan:
     lie_s: float = 0.0
     happenings: list[Happening] = field(default_factory=list)
     patience_s: float = 0.0
+    autostart: bool = False
 
     def add(self, at_s: float, kind: str, **details: Any) -> None:
         self.happenings.append(Happening(max(0.0, at_s), kind, details))
@@ -83,8 +89,8 @@ def _run(plan: Plan, chance: random.Random, at_s: float | None = None) -> float:
     return at_s
 
 
-def _stop(plan: Plan, at_s: float) -> None:
-    plan.add(at_s, "stop", name=f"stop-{len(plan.happenings)}")
+def _stop(plan: Plan, at_s: float, **spelling: str) -> None:
+    plan.add(at_s, "stop", name=f"stop-{len(plan.happenings)}", **spelling)
 
 
 def _reset(plan: Plan, at_s: float) -> None:
@@ -180,7 +186,7 @@ def stop_in_run(plan: Plan, chance: random.Random) -> None:
     stop_s = start_s + chance.uniform(0.0, 2.2)
     if chance.random() < 0.6:
         _any_fault(plan, chance, stop_s - chance.uniform(-0.05, 0.2))
-    _stop(plan, stop_s)
+    _stop(plan, stop_s, **chance.choice(SPELLINGS))
     _afterwards(plan, chance, stop_s)
 
 
@@ -282,6 +288,96 @@ def reset_at_any_moment(plan: Plan, chance: random.Random) -> None:
         _run(plan, chance, stop_s + chance.uniform(0.0, 0.5))
 
 
+def waiting_for_disk(plan: Plan, chance: random.Random) -> None:
+    """A start whose record waits for the disk; meanwhile people repeat it, look on and stop."""
+    start_s, hang_s = chance.uniform(0.05, 0.3), chance.choice((0.3, 1.0, 9.0, 12.0))
+    kind = chance.choice(("disk hangs", "disk hangs", "disk full", "disk slow"))
+    plan.add(start_s - 0.01, kind, seconds=hang_s if kind == "disk hangs" else 1.0)
+    key = {"key": "key-1"} if chance.random() < 0.6 else {}
+    for number in range(chance.randint(1, 4)):
+        at_s = start_s + number * chance.uniform(0.0, 0.1)
+        plan.add(at_s, "start", name=f"start-{number}", patience_s=hang_s + 3.0, **key)
+    if chance.random() < 0.6:
+        _stop(plan, start_s + chance.uniform(0.005, min(hang_s, 1.5)))
+    plan.add(start_s + chance.uniform(0.02, 1.0), "runs")
+    if kind == "disk hangs" and hang_s > 3.0:
+        plan.add(start_s + hang_s + 1.0, "runs")
+    _afterwards(plan, chance, start_s + hang_s)
+
+
+def hanging_policy(plan: Plan, chance: random.Random) -> None:
+    """A policy that gives no answer, or whose process does not load; people stop, start anew, or end the cell."""
+    start_s = _run(plan, chance)
+    if chance.random() < 0.3:  # from the control process's start on
+        plan.add(start_s + 0.1, "policy loads", seconds=chance.choice((1.0, 30.0)))
+        plan.add(start_s + 0.2, "kill", part="control", again_s=0.1)
+        start_s += 1.0
+    else:
+        plan.add(start_s + chance.uniform(1.6, 2.2), "policy hangs", seconds=chance.choice((0.05, 0.2, 0.6)))
+        start_s += 2.6
+        plan.add(start_s - 0.1, "policy loads", seconds=chance.choice((0.0, 1.0, 30.0)))
+    _reset(plan, start_s)
+    _run(plan, chance, start_s + 0.2)
+    if chance.random() < 0.3:
+        _stop(plan, start_s + chance.uniform(0.2, 0.9))
+    if chance.random() < 0.5:
+        plan.add(start_s + chance.uniform(0.3, 0.6), "terminate", part="control", again_s=0.1)
+        plan.add(start_s + 4.0, "status")
+
+
+def lost_logs(plan: Plan, chance: random.Random) -> None:
+    """A log that nobody reads, or whose disk is full, while there is something to log."""
+    start_s = _run(plan, chance)
+    kind = chance.choice(("log full", "log unread"))
+    plan.add(start_s - chance.uniform(-1.0, 0.2), kind, seconds=chance.choice((0.5, 2.0, 6.0)))
+    stop_s = start_s + chance.uniform(0.0, 2.0)
+    if chance.random() < 0.5:
+        _any_fault(plan, chance, stop_s - chance.uniform(0.0, 0.3))
+    _stop(plan, stop_s)
+    _afterwards(plan, chance, stop_s)
+
+
+def strangers(plan: Plan, chance: random.Random) -> None:
+    """Somebody reads by wildcards, sends empty commands and repeats what others sent, beside two runs and a stop."""
+    start_s = _run(plan, chance)
+    if chance.random() < 0.2:  # after a run that nobody stopped
+        plan.add(start_s + chance.uniform(6.0, 6.5), "copy", command="start")
+        return
+    stop_s = start_s + chance.uniform(0.3, 1.0)
+    if chance.random() < 0.7:
+        _stop(plan, stop_s)
+    again_s = stop_s + chance.uniform(0.4, 0.9)
+    _reset(plan, again_s)
+    _run(plan, chance, again_s + 0.05)
+    if chance.random() < 0.3:
+        _stop(plan, again_s + chance.uniform(0.2, 0.8))
+    for _ in range(chance.randint(2, 5)):
+        at_s = start_s + chance.uniform(0.1, 2.8)
+        match chance.choice(("read", "empty", "copy", "copy", "drive")):
+            case "read":
+                plan.add(at_s, "read", key=chance.choice(("**", "cell/**", "cell/*/command/*", "cell/*/query/*")))
+            case "drive":
+                plan.add(at_s, "drive")
+            case kind:
+                plan.add(at_s, kind, command=chance.choice(("start", "stop", "reset")))
+
+
+def told_to_end(plan: Plan, chance: random.Random) -> None:
+    """An API that starts its control process gets SIGTERM at any moment of its start, perhaps after a freeze."""
+    plan.autostart = True
+    at_s = chance.uniform(0.0, 1.2)
+    if chance.random() < 0.3:  # from its very beginning
+        plan.add(at_s, "kill", part="api", again_s=0.1)
+        at_s += 0.1 + chance.uniform(0.0, 0.03)
+    if chance.random() < 0.6:
+        kind = chance.choice(("freeze", "block", "database busy"))
+        held = {} if kind == "database busy" else {"part": "api"}
+        plan.add(at_s - chance.uniform(0.0, 0.2), kind, seconds=chance.choice((0.1, 0.3)), **held)
+    plan.add(at_s, "terminate", part="api", again_s=3.0)
+    _look(plan, chance)
+    plan.add(at_s + 4.0, "status")
+
+
 STORIES: tuple[Story, ...] = (
     plain,
     stop_beside_start,
@@ -296,4 +392,9 @@ STORIES: tuple[Story, ...] = (
     clock_set,
     killed_while_latched,
     reset_at_any_moment,
+    waiting_for_disk,
+    hanging_policy,
+    lost_logs,
+    strangers,
+    told_to_end,
 )

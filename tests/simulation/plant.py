@@ -74,6 +74,7 @@ class LightCell:
 
     def __post_init__(self) -> None:
         self.seq = 0
+        self.ticks = 0
         self.episode = 0
         self.truth_force_n = 0.0
         self.client = self.command_seq = 0
@@ -167,8 +168,14 @@ class LightCell:
 
     # --- time
 
-    def tick(self) -> RecordArray:
+    def tick(self, ticks: int = 1) -> RecordArray:
+        self.pass_tick(ticks)
+        return self.state()
+
+    def pass_tick(self, ticks: int = 1) -> None:
+        """Let a tick pass of which nothing is told."""
         self.seq += 1
+        self.ticks += ticks
         self.age += 1
         self.halted += 1
         force = self._contact()
@@ -178,7 +185,6 @@ class LightCell:
             before = self.position[i]
             self.position[i] = before + (self.reference[i] - before) * (TICK_S / SERVO_S)
             self.velocity[i] = (self.position[i] - before) / TICK_S
-        return self.state()
 
     def _contact(self) -> list[float]:
         """Return the true force on the tip, N."""
@@ -268,7 +274,7 @@ class LightCell:
         x, y, z = (now - then for now, then in zip(self.position, START, strict=True))
         u, v, w = self.velocity
         told = {
-            "time_s": (self.seq * TICK_S,),
+            "time_s": (self.ticks * TICK_S,),
             "q": [joint + a * x + b * y + c * z for joint, (a, b, c) in zip(JOINTS, SLOPES, strict=True)],
             "qd": [a * u + b * v + c * w for a, b, c in SLOPES],
             "tcp_position": self.position,

@@ -49,6 +49,7 @@ class Report:
 def _begin() -> None:
     gc.collect()
     gc.freeze()  # what is imported stays: a collection after each seed is then short
+    gc.disable()  # each universe collects at its end
 
 
 def live_through(seeds: Iterable[int], workers: int | None = None, *, progress: bool = False) -> Report:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from service.cell.cell import Cell
 from service.messages import CellState
 from service.policy.contract import ObservationEntry
 from tests.service.cell import policies
@@ -24,6 +25,8 @@ from tests.simulation.plan import LENGTH_S, Happening, Plan, drawn
 from tests.simulation.plant import SERVO_S, LightCell
 from tests.simulation.universe import RECIPE, Answer, Universe, configuration
 
+PATIENCE_S = 5.0
+"""Time for which a client waits for an answer."""
 READY_S = 0.4
 """Time in which everything has started."""
 APPROACH_M_S = 0.08
@@ -84,7 +87,8 @@ def _tell(plan: Plan, state_dir: Path) -> Outcome:
     import random
 
     plant = LightCell(1 + plan.seed, plan.surroundings, random.Random(plan.seed))
-    universe = Universe(plan.seed, configuration(state_dir, policy(plan.policy)), plant)
+    config = configuration(state_dir, policy(plan.policy), autostart=plan.autostart)
+    universe = Universe(plan.seed, config, plant)
     judge = Judge(universe, force_bound_n(plan, universe))
     universe.judge = judge.on_tick
     began_s, first_s = time.process_time(), universe.loop.time()
@@ -156,13 +160,18 @@ class Story:
     def happen(self, one: Happening) -> None:
         universe, details = self.universe, one.details
         seconds = details.get("seconds", 0.0)
+        self._judge.note_fault(one.kind, seconds)
         match one.kind:
             case "start":
+                patience_s = details.get("patience_s", PATIENCE_S)
                 headers = {"idempotency-key": details["key"]} if "key" in details else {}
                 body = {"recipe": RECIPE, "operator": details["name"]}
-                self._ask("POST", "/start", body, kind="start", name=details["name"], headers=headers)
+                self._ask(
+                    "POST", "/start", body, kind="start", name=details["name"], headers=headers, timeout_s=patience_s
+                )
             case "stop":
-                self._ask("POST", "/stop", kind="stop", name=details["name"])
+                headers = {"host": details["host"]} if "host" in details else {}
+                self._ask("POST", details.get("path", "/stop"), kind="stop", name=details["name"], headers=headers)
             case "reset":
                 self._reset(details["name"])
             case "status" | "runs" | "health":
@@ -177,6 +186,22 @@ class Story:
                 universe.host.wall_step_s += seconds
             case "database busy":
                 universe.host.database_busy_until = universe.loop.time() + seconds
+            case "policy hangs":
+                universe.host.inference_hangs_until = universe.loop.time() + seconds
+            case "policy loads":
+                universe.host.loading_until = universe.loop.time() + seconds
+            case "log full":
+                universe.host.log.full_until = universe.loop.time() + seconds
+            case "log unread":
+                universe.host.log.unread_until = universe.loop.time() + seconds
+            case "read":
+                universe.stranger.read(details["key"])
+            case "empty":
+                universe.stranger.empty(details["command"])
+            case "copy":
+                universe.stranger.repeat(details["command"])
+            case "drive":
+                universe.stranger.drive()
             case "disk hangs" | "disk full" | "disk slow" | "ledger moved" | "state deleted":
                 self._spoil_disk(one.kind, seconds)
             case _:
@@ -193,7 +218,7 @@ class Story:
         universe, part = self.universe, one.details["part"]
         again = {"world": universe.start_world, "control": universe.start_control, "api": universe.start_api}
         if one.kind == "terminate":
-            universe.processes[part].signal(15)
+            universe.terminate(part)
             part = part if part != "world" else None
         elif one.kind == "power cut":  # of the host; the arm's controller has a supply of its own
             for name in ("control", "api"):
@@ -245,7 +270,8 @@ class Story:
         """End every fault, stop, and let the record catch up; then judge it."""
         universe = self.universe
         universe.disk.full, universe.disk.latency_s, universe.disk.hangs_until = False, (1e-4, 3e-3), 0.0
-        universe.host.database_busy_until = universe.host.inference_hangs_until = 0.0
+        universe.host.database_busy_until = universe.host.inference_hangs_until = universe.host.loading_until = 0.0
+        universe.host.log.full_until = universe.host.log.unread_until = 0.0
         for link in universe.network.links.values():
             link.delay_s, link.drop, link.repeat, link.reorder, link.cut_until = Link().delay_s, 0.0, 0.0, False, 0.0
         await asyncio.sleep(0.7)
@@ -258,12 +284,12 @@ class Story:
         self._judge.on_answer(answer)
         for _ in range(50):
             cell = universe.cell
-            if cell is not None and cell.state in (CellState.READY, CellState.LATCHED) and cell.runs.active is None:
+            if cell is not None and _rests(cell):
                 break
             await asyncio.sleep(0.1)
         else:
             state = None if universe.cell is None else universe.cell.state
-            self._judge.violations.append(f"never at rest: the cell is {state} after everything is well again")
+            self._judge.violation("never at rest", f"the cell is {state} after everything is well again")
         listed = Answer("runs", "", None, 0.0)
         for _ in range(8):
             await asyncio.sleep(0.25)
@@ -271,3 +297,8 @@ class Story:
             if self._judge.is_told(listed):
                 break
         self._judge.on_end(listed)
+
+
+def _rests(cell: Cell) -> bool:
+    is_linked = not cell.unlinked.is_set()
+    return is_linked and cell.state in (CellState.READY, CellState.LATCHED) and cell.runs.active is None

@@ -10,7 +10,6 @@ import uuid
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from functools import lru_cache, partial
-from pathlib import Path
 from types import FunctionType, SimpleNamespace
 from typing import Any
 
@@ -20,21 +19,22 @@ import fastapi.routing
 import structlog
 
 import api.application
+import api.control_process
 import service.cell.answers
 import service.cell.cell
 import service.cell.journal.storage
 import service.cell.process
 import service.client
 import service.drivers.zenoh_sim
+import service.logs
 import sim_backend.zenoh_cell.server
 from service.cell.inference import InlineInference
-from service.policy.contract import PolicyContract
-from service.policy.model import Policy, PolicyError
 from sim_backend.metronome import Metronome
 from tests.simulation import clock, threads
 from tests.simulation.disk import Disk
+from tests.simulation.held_policy import Held
+from tests.simulation.logs import LogTarget
 from tests.simulation.network import Network, close_session
-from wire.arrays import Float32Array
 
 Change = tuple[Any, str, Any]
 WALL_S = 1.79e9
@@ -45,15 +45,20 @@ class Host:
 
     Attributes:
         wall_step_s: by how much the wall clock was set.
+        inference_hangs_until: no policy answers before.
+        loading_until: a policy that is opened before then is not loaded before then.
+        log: target of every process's log.
     """
 
-    def __init__(self, loop: clock.VirtualLoop, network: Network, disk: Disk, chance: random.Random) -> None:
-        self.loop, self.network, self.disk, self.chance = loop, network, disk, chance
+    def __init__(
+        self, loop: clock.VirtualLoop, network: Network, disk: Disk, chance: random.Random, log: LogTarget
+    ) -> None:
+        self.loop, self.network, self.disk, self.chance, self.log = loop, network, disk, chance, log
         self.wall_step_s = 0.0
         self.database_busy_until = 0.0
         self.database_latency_s = (1e-4, 2e-3)
         self.inference_latency_s = (1e-3, 8e-3)
-        self.inference_hangs_until = 0.0
+        self.inference_hangs_until = self.loading_until = 0.0
         self.admission_latency_s = (1e-4, 5e-3)
         self.databases: list[aiosqlite.core.Connection] = []
 
@@ -65,70 +70,6 @@ class Host:
 
     def between(self, bounds: tuple[float, float]) -> float:
         return bounds[0] + (bounds[1] - bounds[0]) * self.chance.random()
-
-
-class Inference:
-    """An `InferenceKind` on the virtual clock: the real policy, answered after a while."""
-
-    def __init__(
-        self,
-        host: Host,
-        policy: Policy,
-        on_action: Callable[[Float32Array], None],
-        on_failure: Callable[[Exception], None],
-    ) -> None:
-        self._host, self._policy, self._on_action, self._on_failure = host, policy, on_action, on_failure
-        self._hidden = policy.initial_hidden()
-        self._closed = False
-
-    def ask(self, observation: Float32Array) -> None:
-        host = self._host
-        latency_s = max(host.between(host.inference_latency_s), host.inference_hangs_until - host.loop.time())
-        host.loop.call_later(latency_s, self._answer, observation)
-
-    def close(self) -> None:
-        self._closed = True
-
-    def _answer(self, observation: Float32Array) -> None:
-        if self._closed:
-            return
-        try:
-            action, self._hidden = self._policy.act(observation, self._hidden)
-        except PolicyError as error:
-            self._on_failure(error)
-        else:
-            self._on_action(action)
-
-
-_LOADED: dict[Path, Policy | PolicyError] = {}
-
-
-class Held:
-    """A `HeldPolicy` on the virtual clock: loaded once for all universes, and slow all the same."""
-
-    ended = False
-    settled = True
-
-    def __init__(self, host: Host, path: Path, expected_sha256: str | None) -> None:
-        self._host = host
-        if path not in _LOADED:
-            try:
-                _LOADED[path] = Policy.load(path, expected_sha256=expected_sha256)
-            except PolicyError as error:
-                _LOADED[path] = error
-        self._policy = _LOADED[path]
-
-    def loaded(self) -> tuple[str, PolicyContract]:
-        clock.sleep(self._host.between(self._host.admission_latency_s))
-        if isinstance(self._policy, PolicyError):
-            raise self._policy
-        return self._policy.sha256, self._policy.contract
-
-    def infer(self, on_action: Callable[[Float32Array], None], on_failure: Callable[[Exception], None]) -> Inference:
-        assert isinstance(self._policy, Policy)
-        return Inference(self._host, self._policy, on_action, on_failure)
-
-    def close(self) -> None: ...
 
 
 def _database_queue(host: Host) -> type[threads.SimpleQueue]:
@@ -158,13 +99,27 @@ async def _at_once(function: Callable[..., Any], *args: Any, **kwargs: Any) -> A
 
 def _metronome(host: Host, dozed_ticks: Callable[[], int]) -> Callable[..., Metronome]:
     class Beat(Metronome):
-        def wait(self) -> None:
+        def wait(self, beats: int = 1) -> None:
             dozed_s = dozed_ticks() * self._period_s
             if dozed_s:
                 self._due_s += dozed_s
-            super().wait()
+            super().wait(beats)
 
     return partial(Beat, clock=host.monotonic, sleep=clock.sleep)
+
+
+def _signal(number: int, handler: Any) -> None:
+    clock.here().process.signal_handlers[number] = handler
+
+
+SIGNALS = SimpleNamespace(
+    SIGINT=2,
+    SIGTERM=15,
+    Signals=int,
+    getsignal=lambda number: clock.here().process.signal_handlers.get(number),
+    signal=_signal,
+)
+"""Stands in for `signal` in the API."""
 
 
 def _here_only(virtual: Callable[..., Any], real: Callable[..., Any]) -> Callable[..., Any]:
@@ -182,11 +137,11 @@ def changes(host: Host, dozed_ticks: Callable[[], int]) -> list[Change]:
     """
     network, chance = host.network, host.chance
     policies = SimpleNamespace(opener=lambda _kind: partial(Held, host))
-    signals = SimpleNamespace(SIGINT=2, SIGTERM=15, Signals=int, getsignal=lambda number: None, signal=lambda *_: None)
     server = sim_backend.zenoh_cell.server
     process = service.cell.process
     return [
         *_defaults(host),
+        *host.log.changes(),
         (time, "time", _here_only(host.time_of_day, time.time)),
         (time, "monotonic", _here_only(host.monotonic, time.monotonic)),
         (time, "sleep", _here_only(clock.sleep, time.sleep)),
@@ -213,11 +168,14 @@ def changes(host: Host, dozed_ticks: Callable[[], int]) -> list[Change]:
         (process, "Cell", partial(service.cell.cell.Cell, inference=InlineInference)),
         (service.cell.cell, "InProcessPolicy", policies),
         (process, "request_realtime", tuple),
-        (process, "freeze_garbage", lambda: None),
-        (api.application, "signal", signals),
+        (process, "settle_interpreter", lambda: None),
+        (api.application, "signal", SIGNALS),
+        (api.control_process, "has_listener", network.has_listener),
+        (service.logs, "threading", threads.THREADING),
+        (service.logs, "queue", threads.QUEUE),
+        (service.cell.cell, "log_fault", host.log.fault),
         (server, "Metronome", _metronome(host, dozed_ticks)),
-        (server, "has_realtime_scheduling", lambda: False),
-        (server, "freeze_garbage", lambda: None),
+        (server, "settle_interpreter", lambda: None),
     ]
 
 

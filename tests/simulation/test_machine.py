@@ -81,6 +81,22 @@ class Installation(RuleBasedStateMachine):
     def spoil_storage(self, kind: str, seconds: float) -> None:
         self._let(kind, seconds=seconds)
 
+    @rule(kind=st.sampled_from(("policy hangs", "policy loads", "log full", "log unread")), seconds=SECONDS)
+    def hold_foreign_work(self, kind: str, seconds: float) -> None:
+        self._let(kind, seconds=seconds)
+
+    @rule(key=st.sampled_from(("**", "cell/**", "cell/*/command/*")))
+    def read_everything(self, key: str) -> None:
+        self._let("read", key=key)
+
+    @rule()
+    def drive_as_a_stranger(self) -> None:
+        self._let("drive")
+
+    @rule(kind=st.sampled_from(("empty", "copy")), command=st.sampled_from(("start", "stop", "reset")))
+    def command_as_a_stranger(self, kind: str, command: str) -> None:
+        self._let(kind, command=command)
+
     @rule(seconds=st.sampled_from((-86400.0, 86400.0)))
     def set_clock(self, seconds: float) -> None:
         self._let("clock set", seconds=seconds)

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import gc
 import json
+import logging
 import random
 import sys
 import warnings
@@ -12,18 +13,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import structlog
-
+import api.control_process
 from api.application import create_app
 from service.cell import process as control_process
 from service.cell.cell import Cell
+from service.cell.journal.ledger import Ledger
 from service.config import CellConfig
 from service.drivers.zenoh_sim import ZenohSimDriver
 from sim_backend.zenoh_cell.server import Pace, Server
+from tests.simulation.child import started_by
 from tests.simulation.clock import Process, Thread, VirtualLoop
 from tests.simulation.disk import Disk
+from tests.simulation.logs import LogTarget
 from tests.simulation.network import Network
 from tests.simulation.plant import START, LightCell
+from tests.simulation.stranger import Stranger
 from tests.simulation.substitutes import Host, changes, substituted
 from wire.limits import WORKSPACE_M
 from wire.records import Program
@@ -37,8 +41,15 @@ DOZED_TICKS = 7
 NOMINAL_HOLE = (0.300, -0.110, 0.080)
 
 
-def configuration(state_dir: Path, policy: Path, **recipe: Any) -> CellConfig:
-    """The configuration of the cell under test: one recipe with a short way."""
+def configuration(state_dir: Path, policy: Path, *, autostart: bool = False, **recipe: Any) -> CellConfig:
+    """The configuration of the cell under test: one recipe with a short way.
+
+    Args:
+        state_dir: of the cell.
+        policy: ONNX file.
+        autostart: the API starts the control process.
+        recipe: fields of the recipe that differ.
+    """
     fields = {
         "part": "tr",
         "clearance_m": 2.0e-3,
@@ -54,7 +65,7 @@ def configuration(state_dir: Path, policy: Path, **recipe: Any) -> CellConfig:
             "limits": {"force_ceiling_n": 30.0, "workspace_m": WORKSPACE_M},
             "preflight": {"window_samples": 40},
             "sim": {"world": WORLD, "endpoint": WORLD_ENDPOINT},
-            "api": {"autostart": False},
+            "api": {"autostart": autostart},
             "recipes": {RECIPE: fields | recipe},
         }
     )
@@ -62,7 +73,12 @@ def configuration(state_dir: Path, policy: Path, **recipe: Any) -> CellConfig:
 
 @dataclass
 class Answer:
-    """One request over HTTP and what came back: no status where the client gave up or the connection broke."""
+    """One request over HTTP and what came back.
+
+    Attributes:
+        status: None where the client gave up or the connection broke.
+        gave_up: the client had waited for as long as it would.
+    """
 
     kind: str
     name: str
@@ -71,6 +87,7 @@ class Answer:
     received_s: float | None = None
     status: int | None = None
     document: Any = None
+    gave_up: bool = False
 
 
 @dataclass
@@ -81,6 +98,8 @@ class Universe:
         judge: called after each tick of the world.
         answers: every request, in the order of sending.
         set_aside: the ledger's lines that somebody took away.
+        starts: what started a control process, and when.
+        told_to_end: processes that got SIGTERM, and when.
         trace: what happened when; the same seed gives the same trace.
     """
 
@@ -97,11 +116,15 @@ class Universe:
         self.network = Network(self.loop, random.Random(self.seed * 7919 + 3))
         self.state_dir = self.config.cell.state_dir
         self.disk = Disk(self.state_dir, random.Random(self.seed * 7919 + 4))
-        self.host = Host(self.loop, self.network, self.disk, chance)
+        self.host = Host(self.loop, self.network, self.disk, chance, LogTarget(self.loop, self.note))
         self.processes: dict[str, Process] = {}
         self.operator = Process(self.loop, "operator")
         self.cell: Cell | None = None
         self.set_aside = b""
+        self.starts: list[tuple[Process, float]] = []
+        self.told_to_end: dict[Process, float] = {}
+        self._stranger: Stranger | None = None
+        self._ledgers: list[Ledger] = []
         self._app: Any = None
         self._connections: set[Connection] = set()
 
@@ -115,30 +138,27 @@ class Universe:
         """Add a line to the trace."""
         self.trace.append((round(self.loop.time(), 6), text))
 
-    def log(self, _logger: Any, level: str, event: dict[str, Any]) -> Any:
-        """Take in a line that the code logs."""
-        if level not in ("debug", "info"):
-            error = event.get("exc_info")
-            if error is True:
-                error = sys.exc_info()[1]
-            self.note(f"log {level}: {event.get('event')} {error!r}" if error else f"log {level}: {event.get('event')}")
-        raise structlog.DropEvent
-
     # --- life
 
     @contextlib.contextmanager
     def alive(self) -> Generator[None]:
         """Let everything start, and take it apart at the end of the context."""
-        with substituted(changes(self.host, lambda: self.dozed_ticks)):
-            structlog.configure(processors=[self.log], cache_logger_on_first_use=False)
+        children = [(api.control_process, "Child", started_by(self))]
+        with substituted([*changes(self.host, lambda: self.dozed_ticks), *children]):
+            self.host.log.configure()
             self.loop.set_exception_handler(self._on_loop_error)
             try:
                 self.start_world()
-                self.start_control()
+                if self.config.api.autostart:
+                    self.processes["control"] = Process(self.loop, "nobody")
+                    self.processes["control"].alive = False
+                else:
+                    self.start_control()
                 self.start_api()
                 yield
             finally:
-                self._end()
+                with _unheard():
+                    self._end()
 
     def live(self, work: Coroutine[Any, Any, Any]) -> None:
         """Let time pass until this has been done outside."""
@@ -162,8 +182,9 @@ class Universe:
             kept = control_process.Cell
 
             def make(*args: Any, **kwargs: Any) -> Cell:
-                self.cell = kept(*args, **kwargs)
-                return self.cell
+                self.cell = cell = kept(*args, **kwargs)
+                self._ledgers.append(cell.journal._ledger)
+                return cell
 
             control_process.Cell = make  # type: ignore[misc,assignment]
             try:
@@ -173,11 +194,11 @@ class Universe:
                 control_process.Cell = kept  # type: ignore[misc]
             await running
 
-        process.spawn(self._ended("control", serve()), "run")
+        process.spawn(self._ended(process, serve()), "run")
 
     def start_api(self) -> None:
         process = self.processes["api"] = Process(self.loop, "api")
-        process.spawn(self._ended("api", self._serve_api(process)), "serve")
+        process.spawn(self._ended(process, self._serve_api(process)), "serve")
 
     def kill(self, name: str) -> None:
         self.note(f"kill {name}")
@@ -189,6 +210,20 @@ class Universe:
             self._app = None
             for connection in list(self._connections):
                 connection.break_off()
+
+    def terminate(self, name: str) -> None:
+        """Send SIGTERM to a process; the world's program, which would obey, is left out."""
+        process = self.processes[name]
+        if 15 in process.signal_handlers:
+            self.told_to_end.setdefault(process, self.loop.time())
+        process.signal(15)
+
+    @property
+    def stranger(self) -> Stranger:
+        """Somebody who reaches cell and world without any business there."""
+        if self._stranger is None:
+            self._stranger = Stranger(self.network, CELL, WORLD, frozenset((CELL_ENDPOINT, WORLD_ENDPOINT)))
+        return self._stranger
 
     # --- HTTP
 
@@ -207,8 +242,9 @@ class Universe:
             answer.status = status
             answer.document = json.loads(content) if content else None
             answer.received_s = self.loop.time()
-        except (TimeoutError, ConnectionError):
+        except (TimeoutError, ConnectionError) as error:
             connection.left = True
+            answer.gave_up = isinstance(error, TimeoutError)
         finally:
             self._connections.discard(connection)
         said = "nothing" if answer.status is None else f"{answer.status} {_told(answer.document)}"
@@ -225,14 +261,16 @@ class Universe:
         finally:
             asyncio._set_running_loop(running)
 
-    async def _ended(self, name: str, work: Any) -> None:
+    async def _ended(self, process: Process, work: Any) -> None:
+        name = process.name
         try:
             await work
         except Exception as error:
             self.note(f"{name} ended: {type(error).__name__}: {error}")
         else:
             self.note(f"{name} ended")
-        self.processes[name].alive = False
+        await process.await_executor()
+        process.alive = False
 
     async def _serve_api(self, process: Process) -> None:
         app = create_app(self.config, Path("cell.toml"))
@@ -243,12 +281,12 @@ class Universe:
             if message["type"] == "lifespan.startup.complete":
                 started.set()
 
+        process.signal_handlers[15] = lambda *_: inbox.put_nowait({"type": "lifespan.shutdown"})
         inbox.put_nowait({"type": "lifespan.startup"})
         life = asyncio.ensure_future(app({"type": "lifespan", "asgi": {"version": "3.0"}}, inbox.get, send))
         await started.wait()
         self._app = app
         self.note("api serves")
-        process.signal_handlers[15] = lambda: inbox.put_nowait({"type": "lifespan.shutdown"})
         await life
         self._app = None
 
@@ -257,32 +295,46 @@ class Universe:
 
     def _end(self) -> None:
         """Take everything apart without running it on."""
-        for thread in self.loop.threads:
+        for thread in list(self.loop.threads):
             with contextlib.suppress(Exception):
                 thread.end()
         self.loop.threads.clear()
         for process in (*self.processes.values(), self.operator):
             process.alive = False
+        for file in (file for ledger in self._ledgers for file in ledger._outlived):
+            file.close()  # a process that hangs may hold it for ever
+        self._ledgers.clear()
         for database in self.host.databases:
             if database._connection is not None:
                 database._connection.close()
-        tasks = asyncio.all_tasks(self.loop)
-        for task in tasks:
+        for task in asyncio.all_tasks(self.loop):
             _give_up(task)
-        tasks.clear()
+        task = None  # it would keep the universe alive
         self.loop.forget()
         self.network.sessions.clear()
         self.processes.clear()
+        self.told_to_end.clear()
+        self.starts.clear()
+        self._stranger = None
+        self.host.log.forget()
         self.operator = Process(self.loop, "nobody")
         self.cell = self._app = None
-        hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # what a killed process left open
-                task = None
-                gc.collect()
-        finally:
-            sys.unraisablehook = hook
+        gc.collect()
+
+
+@contextlib.contextmanager
+def _unheard() -> Generator[None]:
+    """Let nobody hear of what a killed process left open."""
+    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    disabled = logging.root.manager.disable
+    logging.disable()  # a logged traceback would keep a universe alive
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(disabled)
+        sys.unraisablehook = hook
 
 
 def _give_up(task: Any) -> None:
@@ -300,10 +352,10 @@ class Watched:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._plant, name)
 
-    def tick(self) -> Any:
+    def tick(self, ticks: int = 1) -> Any:
         for _ in range(self._universe.dozed_ticks):
-            self._plant.tick()
-        record = self._plant.tick()
+            self._plant.pass_tick()
+        record = self._plant.tick(ticks)
         self._universe.judge()
         return record
 

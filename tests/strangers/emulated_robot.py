@@ -209,11 +209,11 @@ class _Process:
 
     def run(self) -> None:
         from sim_backend.metronome import Metronome
-        from wire.realtime import freeze_garbage, request_realtime
+        from wire.realtime import SIMULATOR_PRIORITY, request_realtime, settle_interpreter
         from wire.records import TICK_S
 
-        request_realtime()
-        freeze_garbage()
+        request_realtime(SIMULATOR_PRIORITY)
+        settle_interpreter()
         metronome = Metronome(TICK_S)
         buffer = b""
         print(json.dumps(self.host), flush=True)

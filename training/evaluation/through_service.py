@@ -176,7 +176,7 @@ def measure(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Setting, Episod
 
 def _arm(setting: Setting) -> list[str]:
     if setting.through == "rtde":
-        return ["ur-controller", "--any-ports", "--host", HOST, "--part", setting.part]
+        return ["ur-controller", "--any-ports", "--host", HOST, "--part", setting.part, "--realtime"]
     return ["serve", "--mode", "lockstep"]
 
 
@@ -196,6 +196,7 @@ def _configuration(
             "endpoint": cell_endpoint,
             "state_dir": "state",
             "driver": "ur" if over_rtde else "zenoh_sim",
+            "realtime": over_rtde,  # a late host would be counted against the policy
         },
         "limits": limits | ({"sample_age_s": SAMPLE_AGE_S} if over_rtde else {}),
         "sim": {"world": WORLD, "endpoint": sim_endpoint, "mode": "lockstep", "autostart": False},

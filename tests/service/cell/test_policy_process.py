@@ -249,7 +249,7 @@ async def test_72_an_inference_without_an_end_takes_no_core_from_the_host_though
     tmp_path: Path,
 ) -> None:
     policy = policies.hanging(tmp_path, "first")
-    with closing(PolicyProcess(policy, step_limit_s=1.0)) as worker:
+    with closing(PolicyProcess(policy, step_limit_s=1.0, realtime=True)) as worker:
         observation = np.ones(worker.loaded()[1].observation_size, np.float32)
         if os.sched_getscheduler(worker.pid) != os.SCHED_FIFO:
             pytest.skip("this host grants no real-time scheduling")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import zenoh
 
 from service.cell.cell import Cell
@@ -23,10 +24,12 @@ from service.faults import FaultCode
 from service.messages import CellState, RefusalReason, Refused, ResetRequest, RunResult, RunState, StartRequest
 from service.program import command
 from service.testing import RECIPE, cell_config
+from tests.conftest import REALTIME_VARIABLE
+from tests.scheduling import ORDINARY, children, schedulings
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
 from tests.service.sim_server import free_endpoint, sim_process
-from wire import keys, records
+from wire import keys, realtime, records
 from wire.session import open_session
 
 ROOT = Path(__file__).parents[3]
@@ -167,6 +170,30 @@ async def control_process(
         async with CellClient("cell-1", [endpoint]) as client:
             await until(lambda: client.state in (CellState.READY, CellState.LATCHED), 60.0)
             yield process, client
+
+
+@pytest.mark.parametrize("asked", [False, True])
+async def test_a_simulated_cell_has_ordinary_priority_unless_asked_and_its_loop_comes_first_then(
+    tmp_path: Path, asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(REALTIME_VARIABLE)
+    driver = 'driver = "zenoh_sim"'
+    path, endpoint = configured(tmp_path, **({driver: f"{driver}\nrealtime = true"} if asked else {}))
+    async with control_process(path, endpoint) as (process, client):
+        others = children(process.pid)
+        assert len(others) == 3, "simulator, watchdog and policy"
+        if not asked:
+            assert schedulings(process.pid) == {ORDINARY}
+            assert all(schedulings(pid) == {ORDINARY} for pid in others)
+            return
+        assert client.last_status is not None
+        if client.last_status.degradations:
+            pytest.skip("this host grants no real-time scheduling")
+        highest = {words: max(schedulings(pid)) for pid, words in others.items()}
+        assert max(schedulings(process.pid)) == (os.SCHED_FIFO, realtime.PRIORITY)
+        for words, (policy, priority) in highest.items():
+            assert policy == os.SCHED_FIFO, words
+            assert priority < realtime.PRIORITY or "watchdog" in words, "the loop comes first"
 
 
 async def test_48_sigterm_in_mid_run_stops_the_arm_and_ends_cleanly(tmp_path: Path) -> None:

@@ -37,8 +37,8 @@ class UnlimitedCell(SimulatedCell):
             command["force_ceiling"] = CEILING_N
         super().apply(command)
 
-    def tick(self) -> RecordArray:
-        record = super().tick()
+    def tick(self, ticks: int = 1) -> RecordArray:
+        record = super().tick(ticks)
         self.largest_n = max(self.largest_n, float(np.linalg.norm(self._world.contact_force[0])))
         return record
 

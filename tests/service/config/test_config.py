@@ -4,6 +4,7 @@ from typing import get_args
 import pytest
 
 from service.config import PATH_VARIABLE, CellConfig, ConfigError, RecipeSection, find, load
+from tests.conftest import REALTIME_VARIABLE
 from wire.limits import FORCE_HARD_MAXIMUM_N
 from wire.task import Conditions
 
@@ -105,6 +106,28 @@ def test_the_environment_overrides_the_file(tmp_path: Path, monkeypatch: pytest.
 def test_the_file_is_the_one_that_the_environment_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DSL_ASSEMBLY_CONFIG", str(written(tmp_path, 'id = "cell-1"', 'id = "other"')))
     assert load().cell.id == "other"
+
+
+def test_a_real_arm_alone_asks_for_real_time_scheduling_unless_the_cell_says_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(REALTIME_VARIABLE)
+    asked = {name: load(SHIPPED.with_name(f"{name}.toml")).asks_realtime for name in ("cell", "ur-emulated", "ur3e")}
+    assert asked == {"cell": False, "ur-emulated": False, "ur3e": True}
+    monkeypatch.setenv(REALTIME_VARIABLE, "true")
+    assert load(SHIPPED).asks_realtime
+    monkeypatch.setenv(REALTIME_VARIABLE, "false")
+    assert not load(SHIPPED.with_name("ur3e.toml")).asks_realtime
+
+
+def test_an_age_that_the_samples_of_a_resting_world_reach_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, "sample_age_s = 0.08", "sample_age_s = 0.015")
+    with pytest.raises(
+        ConfigError, match=r"limits\.sample_age_s is 0\.015 s, .* at rest it gives a sample every 0\.01"
+    ):
+        load(path)
+    path.write_text(path.read_text().replace('"real_time"', '"lockstep"'))
+    load(path)
 
 
 @pytest.mark.parametrize("content", [None, "[cell", "\x00"])

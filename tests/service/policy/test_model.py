@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
@@ -14,6 +15,7 @@ from service.policy.model import SIZE_LIMIT_BYTES, Policy, PolicyError, PolicyFa
 from tests.service.policy.model_files import contract, linear_model
 
 SIZE = contract().observation_size
+SHIPPED = Path(__file__).parents[3] / "models"
 
 
 def refused(model: onnx.ModelProto | bytes) -> PolicyError:
@@ -41,6 +43,32 @@ def test_a_policy_runs_what_its_file_says(path: Path) -> None:
     assert hidden is None
     assert policy.initial_hidden() is None
     assert policy.contract == contract()
+
+
+@pytest.mark.parametrize("shipped", sorted(SHIPPED.glob("*.onnx")), ids=lambda shipped: shipped.stem)
+def test_stored_levels_are_unpacked_at_load_and_the_action_is_that_of_the_plain_graph_bit_for_bit(
+    tmp_path: Path, shipped: Path
+) -> None:
+    options = model_module.session_options()
+    options.optimized_model_filepath = str(tmp_path / "loaded.onnx")
+    onnxruntime.InferenceSession(shipped.read_bytes(), options, providers=["CPUExecutionProvider"])
+    loaded = onnx.load(options.optimized_model_filepath)
+    assert "DequantizeLinear" not in {node.op_type for node in loaded.graph.node}
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1  # two threads share a product in another order
+    plain = onnxruntime.InferenceSession(shipped.read_bytes(), options, providers=["CPUExecutionProvider"])
+    policy = Policy.load(shipped)
+    draws = np.random.default_rng(0)
+    for rows in (1, 1, 1, 2, 3, 5, 8, 17, 64, 256):
+        size = draws.choice([0.01, 0.1, 1.0, 10.0])
+        feed = {
+            node.name: (size * draws.normal(size=(rows, node.shape[1]))).astype(np.float32)
+            for node in plain.get_inputs()
+        }
+        action, hidden = policy.act(feed["observation"], feed.get("hidden"))
+        for mine, its in zip((action, hidden), plain.run(None, feed), strict=False):
+            assert mine is not None
+            assert mine.tobytes() == its.tobytes()
 
 
 @pytest.mark.parametrize("shape", [(1,), (7,), (2, 3)])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sim_backend.world import quaternion, scene
+from sim_backend.world import world as world_module
 from sim_backend.world.arm import STOP_S
 from sim_backend.world.conditions import draw
 from sim_backend.world.parts import PARTS, hole_walls, yaw_tolerance
@@ -208,6 +209,34 @@ def test_walls_stand_at_each_cells_own_clearance():
             inner = model.geom_pos[geom, :2] @ [np.cos(angle), np.sin(angle)] - model.geom_size[geom, 0]
             assert inner == pytest.approx(distance, abs=1e-15)
             assert model.geom_pos[geom, 2] + model.geom_size[geom, 2] == 0.0
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_what_is_contained_is_found_for_all_cells_at_once_as_for_each_bit_for_bit(part, monkeypatch):
+    n = 64
+    world = World(n, part)
+    draws = np.random.default_rng(0)
+    world.reset(np.arange(n), [Task(i, part, c) for i, c in enumerate(draws.uniform(0.1e-3, 6e-3, n))])
+    walls = [hole_walls(PARTS[part], clearance) for clearance in world.clearance]
+    reach = walls[0][0, 1] + 0.01
+    places = []
+    monkeypatch.setattr(World, "offset", property(lambda _: places[-1]))
+    monkeypatch.setattr(World, "depth", property(lambda _: np.zeros(n)))
+    asked = []
+    monkeypatch.setattr(world_module, "hole_walls", lambda *given: asked.append(given) or hole_walls(*given))
+    for _ in range(50):
+        edge = draws.integers(0, len(walls[0]), n)
+        angle, distance = np.array([walls[cell][one, :2] for cell, one in enumerate(edge)]).T
+        share = draws.choice([0.5, 1.0 - 1e-15, 1.0, 1.0 + 1e-15, 1.2], n)  # many on the wall itself
+        beside = draws.uniform(-reach, reach, n) * draws.choice([0.0, 0.3], n)
+        x, y = share * distance, beside
+        places.append(np.stack([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y], axis=1))
+        alone = [
+            bool((np.cos(of[:, 0]) * x + np.sin(of[:, 0]) * y <= of[:, 1]).all())
+            for of, (x, y) in zip(walls, places[-1], strict=True)
+        ]
+        assert world.contained.tolist() == alone
+    assert len(asked) == 50, "once for all cells"
 
 
 def test_another_episode_in_one_cell_does_not_disturb_the_others():

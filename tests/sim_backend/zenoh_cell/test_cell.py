@@ -78,6 +78,9 @@ def test_a_state_is_one_wire_record_with_the_tick_in_it(cell):
     assert row["epoch"] == EPOCH
     assert row["seq"] == before["seq"] + 1
     assert row["time_s"] == pytest.approx(before["time_s"] + TICK_S)
+    rested = cell.tick(5)[0]
+    assert rested["seq"] == row["seq"] + 1
+    assert rested["time_s"] == pytest.approx(row["time_s"] + 5 * TICK_S)
     assert row["episode"] == before["episode"]
     assert row["robot_mode"] == 7
     assert row["safety_mode"] == 1

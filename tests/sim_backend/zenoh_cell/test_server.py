@@ -132,6 +132,11 @@ class States:
             assert self._news.wait_for(found, PATIENCE_S), "no such state came"
             return self.records[seen]
 
+    def steps(self, first: int = 0) -> list[int]:
+        """Ticks of time from each state to the next, from the state numbered `first` on; lost ones are left out."""
+        pairs = itertools.pairwise(record for record in self.records if record["seq"] >= first)
+        return [round((b["time_s"] - a["time_s"]) / records.TICK_S) for a, b in pairs if b["seq"] == a["seq"] + 1]
+
 
 @contextlib.contextmanager
 def served(endpoint: str, *options: str, prefix: Sequence[str] = ()) -> Iterator[tuple[Process, Client]]:
@@ -332,7 +337,7 @@ def test_scheduling_that_the_host_refuses_is_said_and_missed_by_nothing_else(fre
         if shutil.which("setpriv") is None:
             pytest.skip("root has every permission here, and there is no setpriv to give it up")
         prefix = ["setpriv", "--bounding-set=-sys_nice,-ipc_lock"]
-    with served(free_endpoint, "--mode", "real-time", prefix=prefix) as (process, client):
+    with served(free_endpoint, "--realtime", prefix=prefix) as (process, client):
         states = States(client.session)
         states.until(lambda state: state["seq"] > 50)
         degraded = client.info()["degraded"]

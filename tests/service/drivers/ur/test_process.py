@@ -40,7 +40,7 @@ def served_robot() -> Iterator[Robot]:
     process = subprocess.Popen(
         [
             *command("sim", "ur-controller", "--host", HOST, "--any-ports"),
-            *("--world", WORLD, "--listen", endpoint),
+            *("--world", WORLD, "--listen", endpoint, "--realtime"),
         ],
         cwd=ROOT,
         stdout=subprocess.PIPE,

@@ -1,0 +1,97 @@
+"""The process of a policy, seen from its socket."""
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.policy import worker
+from service.policy.contract import PolicyContract
+from service.policy.model import Policy
+from service.policy.worker import Kind, decode, encode
+
+SHIPPED = Path(__file__).parents[3] / "models" / "vftm-dsl.onnx"
+PATIENCE_S = 20.0
+
+
+class Asking:
+    """A worker on a thread, and the inputs of every inference that it made."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.made: list[tuple[bytes, bytes]] = []
+        act = Policy.act
+
+        def noted(policy: Policy, observation: np.ndarray, hidden: np.ndarray | None = None) -> object:
+            self.made.append((observation.tobytes(), b"" if hidden is None else hidden.tobytes()))
+            return act(policy, observation, hidden)
+
+        self.policy = Policy.load(SHIPPED)
+        monkeypatch.setattr(Policy, "act", noted)
+        self.socket, self._theirs = socket.socketpair()
+        self.socket.settimeout(PATIENCE_S)
+        self._thread = threading.Thread(
+            target=worker.serve, args=(self._theirs, SHIPPED, None), kwargs={"realtime": False}
+        )
+        self._thread.start()
+        assert self.receive()[0] is Kind.LOADED
+        self.made.clear()
+
+    def receive(self) -> tuple[Kind, bytes]:
+        received = b""
+        while (frame := decode(received)) is None:
+            received += self.socket.recv(worker.PAYLOAD_LIMIT_BYTES)
+        return frame
+
+    def ask(self, kind: Kind, observation: np.ndarray) -> bytes:
+        self.socket.sendall(encode(kind, observation.tobytes()))
+        answered, payload = self.receive()
+        assert answered is Kind.ACTION
+        return payload
+
+    def until_made(self, count: int) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while len(self.made) < count:
+            assert time.monotonic() < deadline
+            time.sleep(1e-3)
+
+    def close(self) -> None:
+        self.socket.close()
+        self._thread.join(PATIENCE_S)
+        self._theirs.close()
+
+
+@pytest.fixture
+def asking(monkeypatch: pytest.MonkeyPatch) -> Iterator[Asking]:
+    asking = Asking(monkeypatch)
+    yield asking
+    asking.close()
+
+
+def test_before_the_next_observation_is_due_the_last_inference_is_repeated_once_and_changes_nothing(
+    asking: Asking,
+) -> None:
+    observations = np.random.default_rng(0).normal(size=(4, asking.policy.contract.observation_size))
+    hidden = asking.policy.initial_hidden()
+    for step, observation in enumerate(observations.astype(np.float32)):
+        answer = asking.ask(Kind.NEXT if step else Kind.FIRST, observation)
+        asking.until_made(2 * step + 2)
+        assert asking.made[2 * step] == asking.made[2 * step + 1]
+        action, hidden = asking.policy.act(observation, hidden)
+        asking.made.pop()
+        assert answer == action.tobytes()
+    time.sleep(2 * asking.policy.contract.period_s)
+    assert len(asking.made) == 2 * len(observations), "a policy that nobody asks any more rests"
+
+
+def test_an_observation_that_comes_early_waits_for_no_repetition(
+    asking: Asking, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(PolicyContract, "period_s", 10 * PATIENCE_S)
+    observation = np.zeros(asking.policy.contract.observation_size, np.float32)
+    asking.ask(Kind.FIRST, observation)
+    asking.ask(Kind.NEXT, observation)
+    assert len(asking.made) == 2

@@ -1,0 +1,24 @@
+"""What an endpoint tells about the process behind it."""
+
+import socket
+
+import pytest
+
+from wire.endpoints import has_listener
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "tls"])
+def test_a_listener_is_told_by_a_connection(protocol: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        endpoint = f"{protocol}/127.0.0.1:{server.getsockname()[1]}"
+        assert has_listener(endpoint) is True
+    assert has_listener(endpoint) is False
+
+
+@pytest.mark.parametrize("endpoint", ["quic/127.0.0.1:7447", "udp/127.0.0.1:7447", "unixsock-stream//run/cell", "x"])
+def test_of_an_endpoint_without_a_stream_nothing_can_be_told(endpoint: str) -> None:
+    assert has_listener(endpoint) is None
+
+
+def test_nobody_listens_at_a_port_that_there_is_not() -> None:
+    assert has_listener("tcp/127.0.0.1:70000") is False
