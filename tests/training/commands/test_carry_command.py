@@ -37,6 +37,7 @@ def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     root = tmp_path / "repository"
     for package in provenance.CODE:
         shutil.copytree(provenance.ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(provenance.ROOT / ".gitignore", root)
     git(tmp_path, "init", str(root))
     git(root, "add", ".")
     git(root, "commit", "-m", "before")
