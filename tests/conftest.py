@@ -14,10 +14,9 @@ from service.logs import PROCESSORS
 settings.register_profile("without_deadline", deadline=None)
 settings.load_profile("without_deadline")
 
-# A busy test machine makes processes late; few tests are about that.
+# On a busy test machine processes of ordinary priority are late; few tests are about that.
 REALTIME_VARIABLE = "DSL_ASSEMBLY__CELL__REALTIME"
 os.environ[REALTIME_VARIABLE] = "true"
-
 
 REAL_TIME = (
     "api",
