@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Self
 
 Spoil = Callable[[bytes], Iterable[bytes]]
-"""What leaves for one chunk that arrived: none, one or several pieces, each sent by itself."""
+"""Gives what leaves for one chunk that arrived: none, one or several pieces, each sent by itself."""
 
 BUFFER = 4096
 """Bytes that the proxy takes from a peer while it passes nothing on, apart from what the system rounds up."""

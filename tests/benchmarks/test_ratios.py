@@ -1,4 +1,4 @@
-"""What this project costs beside the bare library, in the same run: ratios with generous bounds, no times."""
+"""Cost of this project beside the bare library, in the same run: ratios with generous bounds, no times."""
 
 import importlib
 

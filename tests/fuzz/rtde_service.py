@@ -21,7 +21,7 @@ NAMES = sorted(INPUTS.keys() | OUTPUTS.keys())
 
 
 class Client:
-    """What the service sees of a connection."""
+    """A connection as the service sees it."""
 
     def __init__(self) -> None:
         self.pending = 0

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 HANG_S = 10
-"""Of the wall clock, so that a machine with other work does not make a hang of any input."""
+"""Wall-clock time after which an input counts as a hang, s: so long that other work on the machine makes none."""
 HERE = Path(__file__).parent
 SECONDS = int(os.environ.get("FUZZ_SECONDS", "1"))
 

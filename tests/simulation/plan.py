@@ -1,4 +1,4 @@
-"""What happens in a universe: people's requests and the faults, all drawn from its seed."""
+"""Events of a universe: people's requests and the faults, all drawn from its seed."""
 
 import random
 from collections.abc import Callable

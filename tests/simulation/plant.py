@@ -206,7 +206,7 @@ class LightCell:
 
     @property
     def in_hole(self) -> bool:
-        """Whether the peg's axis is inside the hole's outline; a tip that has sunk in stays inside its walls."""
+        """True if the peg's axis is inside the hole's outline; a tip that has sunk in stays inside its walls."""
         s, (x, y, z) = self.surroundings, self.position
         reach = s.half_m + (1e-3 if z < s.hole[2] - 1e-3 else 0.0)
         return abs(x - s.hole[0]) <= reach and abs(y - s.hole[1]) <= reach

@@ -13,7 +13,7 @@ from tests.simulation.story import Outcome, tell
 
 @dataclass
 class Report:
-    """What came of many seeds.
+    """Outcome of many seeds.
 
     Attributes:
         failed: seed and its violations.

@@ -35,7 +35,7 @@ APPROACH_M_S = 0.08
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one seed.
+    """Outcome of one seed.
 
     Attributes:
         digest: of the trace; the same seed gives the same one.

@@ -26,7 +26,7 @@ from wire.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Truth:
-    """What the world holds at one instant; base frame, SI.
+    """True state of the world at one instant; base frame, SI.
 
     Attributes:
         time_s: the controller's clock.
@@ -111,7 +111,7 @@ class EmulatedRobot:
         return Truth(**{name: np.array(v) if isinstance(v, list) else v for name, v in fields.items()})
 
     def is_at_rest(self) -> bool:
-        """Whether no joint moves, within half a second."""
+        """Return whether all joints come to rest within half a second."""
         return until(lambda: bool(np.abs(self.truth().qd).max() < 2e-3), 0.5)
 
     def get(self, path: str) -> Any:

@@ -1,4 +1,4 @@
-"""What an endpoint tells about the process behind it."""
+"""An endpoint tells whether a process listens behind it."""
 
 import socket
 

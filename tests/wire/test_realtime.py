@@ -1,4 +1,4 @@
-"""What a process that asked for real-time scheduling got from its host."""
+"""A process that asked for real-time scheduling and locked memory, as its host treats it."""
 
 import subprocess
 import sys

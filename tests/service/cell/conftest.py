@@ -66,7 +66,7 @@ FaultyCell = Callable[..., Any]
 
 @dataclass(frozen=True)
 class Arm:
-    """What stands behind the driver: the same world, reached in another way."""
+    """The arm behind the driver: the same world, reached in another way."""
 
     config: Callable[..., CellConfig]
     cell: Callable[..., AbstractAsyncContextManager[Bench]]

@@ -19,7 +19,7 @@ FaultyT = TypeVar("FaultyT", bound="FaultyDriver")
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What the cell asked for, and when by the driver's clock."""
+    """An order of the cell, and when it came by the driver's clock."""
 
     kind: str
     time_s: float

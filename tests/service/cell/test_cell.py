@@ -1,4 +1,4 @@
-"""What people ask of a cell, and what a run is when nothing goes wrong."""
+"""Requests of people to a cell, and a run in which nothing goes wrong."""
 
 import asyncio
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a policy was trained under is what the shipped cell runs it under."""
+"""The shipped cell runs a policy under the conditions of its training."""
 
 from dataclasses import fields
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a cell refuses of a sound policy file, and that it admits what ships with its configurations."""
+"""A cell refuses sound policy files that do not fit it, and admits those that ship with its configurations."""
 
 import hashlib
 import re

@@ -44,7 +44,7 @@ class Bench:
         assert not self.of(events.RuntimeFailed, events.CompileFailed), self.heard
 
     def of(self, *kinds: type[events.Event]) -> list[Any]:
-        """What was heard of some kinds, in order."""
+        """Return the events of some kinds, in order."""
         return [event for event in self.heard if isinstance(event, kinds)]
 
     def get(self, name: str) -> Any:

@@ -1,4 +1,4 @@
-"""What only the simulation knows of contacts."""
+"""Facts about contacts that only the simulation knows."""
 
 import mujoco
 import numpy as np

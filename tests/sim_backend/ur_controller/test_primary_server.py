@@ -107,7 +107,7 @@ def secondary(server: ControllerServer) -> Iterator[Client]:
 
 
 def is_closed(peer: socket.socket) -> bool:
-    """Whether the end of what was sent to a peer comes within its patience."""
+    """Return whether the end of what was sent to a peer comes within its patience."""
     peer.settimeout(5.0)
     try:
         while peer.recv(1 << 20):

@@ -1,4 +1,4 @@
-"""What surrounds the emulated robot, as its clients meet it over Zenoh."""
+"""Surroundings of the emulated robot, as its clients meet them over Zenoh."""
 
 import json
 import time

@@ -1,4 +1,4 @@
-"""What is only looked at shows the cell as it is, and changes nothing that is simulated."""
+"""The appearance shows the cell as it is, and changes nothing that is simulated."""
 
 import mujoco
 import numpy as np

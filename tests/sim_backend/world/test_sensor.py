@@ -26,7 +26,7 @@ def sensor(n=1, **changes):
 
 
 def weight(rotation, mass=MASS, com=COM):
-    """What the flange carries at rest, flange axes."""
+    """Load on the flange at rest, flange axes."""
     force = rotation.swapaxes(-1, -2) @ np.array([0.0, 0.0, -mass * 9.81])
     return np.concatenate([force, np.cross([0.0, 0.0, com], force)], axis=-1)
 

@@ -1,4 +1,4 @@
-"""What a simulated cell in real time leaves to the other programs of its host."""
+"""A simulated cell in real time leaves the other programs of its host their share."""
 
 import os
 

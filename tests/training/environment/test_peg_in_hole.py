@@ -164,7 +164,7 @@ def test_time_truncates_and_does_not_terminate() -> None:
 
 
 def masked(info: dict[str, Any], cell: int) -> dict[str, Any]:
-    """What the vectorised info says of one cell."""
+    """Return what the vectorised info says of one cell."""
     said: dict[str, Any] = {}
     for key, value in info.items():
         if not key.startswith("_") and info[f"_{key}"][cell]:

@@ -1,4 +1,4 @@
-"""What the network may know, and what it remembers."""
+"""Inputs and memory of the network."""
 
 from typing import Any
 

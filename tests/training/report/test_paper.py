@@ -1,4 +1,4 @@
-"""What the report holds against the paper's own source of figures."""
+"""The report's figures of the paper against the paper's own source."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What a client of RTDE hears, and how it comes to hear it."""
+"""A client of RTDE: the packages that it hears, and how it comes to hear them."""
 
 import asyncio
 import time

@@ -1,4 +1,4 @@
-"""What the control program does on a controller, with nothing of the driver between: registers in, motion out."""
+"""The control program on a controller, with nothing of the driver between: registers in, motion out."""
 
 import math
 from collections.abc import Sequence

@@ -67,7 +67,7 @@ class Run:
 
 
 def printed(text: str) -> list[Value]:
-    """What a script prints that runs to its end."""
+    """Return what a script prints that runs to its end."""
     return Run(text).to_end().printed
 
 

@@ -8,7 +8,7 @@ from sim_backend.ur_controller.script import CompileError, ScriptRuntimeError, S
 from tests.sim_backend.ur_controller.script.runs import Run, value
 
 FORESEEN = (ScriptRuntimeError, NameError, ZeroDivisionError)
-"""What a script can bring about; anything else were a mistake of the runtime."""
+"""Errors that a script can bring about; any other is a mistake of the runtime."""
 
 WORDS = [
     "def",

@@ -1,4 +1,4 @@
-"""What scripts mean: UR's script manual where it says so, else what clients in use need."""
+"""Meaning of scripts: by UR's script manual where it says so, else by what clients in use need."""
 
 import math
 
