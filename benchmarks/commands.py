@@ -30,7 +30,7 @@ BENCHMARKS = (
 )
 QUICK = 0.1
 FOLDER = Path("benchmarks/results")
-Names = Annotated[list[str] | None, typer.Argument(help=f"Benchmarks to run: {', '.join(BENCHMARKS)}; all by default.")]
+Names = Annotated[list[str] | None, typer.Argument(help=f"Benchmarks to run: {', '.join(BENCHMARKS)}.")]
 
 
 class Benchmark(Protocol):
@@ -50,7 +50,10 @@ def bench(
         Path | None, typer.Option(exists=True, dir_okay=False, help="Python with robosuite, Gymnasium-Robotics.")
     ] = None,
 ) -> None:
-    """Measure this project on this machine, print the tables with their limits, and save them."""
+    """Measure this project on this machine, print the tables with their limits, and save them.
+
+    Without names all benchmarks run, or those of `--short`.
+    """
     console = Console()
     wanted = _checked(console, names or list(SHORT if short else BENCHMARKS))
     taken = machine.conditions()

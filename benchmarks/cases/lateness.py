@@ -11,8 +11,7 @@ from benchmarks.harness import operating
 from benchmarks.harness.machine import may_use_fifo
 from benchmarks.harness.processes import running
 from benchmarks.harness.result import QUANTILES, Figure, Result, UnavailableError, quantile_figures, quantiles
-from benchmarks.stands.flooded_api import CONNECTIONS, serving_api
-from benchmarks.stands.flooded_api import flooded as flooded_api
+from benchmarks.stands import flooded_api
 from benchmarks.stands.shipped_cell import ShippedCell, shipped_cell
 from service.client import CellClient
 from service.program import MODULE
@@ -59,7 +58,7 @@ def measure(scale: float) -> Result:
         "thread to the judgement and use in the loop. Host's timer: a process of the loop's own scheduling sleeps with "
         "`clock_nanosleep` until each beat of 2 ms, as cyclictest does, at the same time; it computes nothing. "
         "Simulated cell, control process and API run as three processes; a fourth sends GET requests on "
-        f"{CONNECTIONS} connections.",
+        f"{flooded_api.CONNECTIONS} connections.",
     )
 
 
@@ -73,7 +72,7 @@ def _observe(shipped: ShippedCell, arguments: tuple[str, ...], seconds: float, *
         running(MODULE, *world),
         running(*service, ready="serving", environment=environment) as control,
         running("benchmarks.stands.waker", str(waker), *arguments) as sleeper,
-        (flooded_api if flooded else serving_api)(shipped),
+        (flooded_api.flooded if flooded else flooded_api.serving_api)(shipped),
     ):
         missed, latches = asyncio.run(_operate(shipped, seconds))
         for process in (control, sleeper):

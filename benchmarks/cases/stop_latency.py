@@ -36,6 +36,8 @@ from wire.session import close_session, open_session, query
 TRIP_TIMEOUT_S = 5.0
 Begin = Callable[[CellClient, str, int], Awaitable[object]]
 """Starts an insertion of a recipe and a seed."""
+Load = Callable[[ShippedCell], AbstractContextManager[object]]
+"""Loads the host beside a cell while a block lasts."""
 
 
 def measure(scale: float) -> Result:
@@ -76,9 +78,6 @@ def measure(scale: float) -> Result:
         "computes without a pause in a process as a control process has it. Under a flood: the API runs, and gets GET "
         f"requests on {CONNECTIONS} connections. Runs that ended earlier are excluded.",
     )
-
-
-Load = Callable[[ShippedCell], AbstractContextManager[object]]
 
 
 def _quiet(_: ShippedCell) -> AbstractContextManager[object]:

@@ -31,13 +31,13 @@ def main(model: Path, hot: int, rested: int) -> None:
     call = bare_call(model)
     request_prompt_answers(LONGEST_S)
     taken = spans(hot, call)
-    late: list[float] = []
+    after_rest: list[float] = []
     for _ in range(rested):
         time.sleep(REST_S)
         begin = time.perf_counter()
         call()
-        late.append(time.perf_counter() - begin)
-    print(json.dumps({"hot": taken, "rested": late}))
+        after_rest.append(time.perf_counter() - begin)
+    print(json.dumps({"hot": taken, "rested": after_rest}))
 
 
 if __name__ == "__main__":
