@@ -38,7 +38,7 @@ class FollowedCell:
 
     Attributes:
         feed: events of the cell.
-        first_marks: of the starts that this server was asked for.
+        first_marks: marks of the starts that this server was asked for.
         failure: why events and history are not followed any more; None while they are.
         stops_asked: stops that this server was asked for, delivered or not.
     """

@@ -43,7 +43,7 @@ class ControlProcess:
         self.note: str | None = None
 
     async def may_be_joined(self) -> bool:
-        """Return whether a control process may be there; False only where none would be heard and one is wanted."""
+        """Return whether a control process may be there; False only where this API may start one and none listens."""
         if not self._config.api.autostart:
             return True
         return await asyncio.to_thread(has_listener, self._config.cell.endpoint) is not False

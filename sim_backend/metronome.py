@@ -43,7 +43,7 @@ class Metronome:
         self._due_s = self._clock()
 
     def wait(self, beats: int = 1) -> None:
-        """Return at the next beat, or so many beats on; at once if it has passed."""
+        """Return `beats` beats after the last one, at once if that time has passed."""
         self._due_s += beats * self._period_s
         ahead_s = self._due_s - self._clock()
         if ahead_s > 0.0:

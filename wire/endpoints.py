@@ -1,4 +1,6 @@
-"""Zenoh endpoints: the default one, and the rule that a server stays on this machine unless allowed otherwise."""
+"""Zenoh endpoints: the default one, whether somebody listens at one, and the rule that a server stays on this machine
+unless allowed otherwise.
+"""
 
 import contextlib
 import ipaddress
@@ -12,8 +14,9 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:7448"
 _LOCAL = "unixsock-stream/"
 """Beginning of the endpoints that are sockets in the file system of this machine."""
 _STREAMS = ("tcp", "tls", "ws")
-"""Protocols whose listener can be told by a connection to it."""
+"""Protocols under which a connection shows whether somebody listens."""
 CONNECT_S = 1.0
+"""Time that a listener has to take a connection, s."""
 _ENDPOINT = re.compile(r"(?P<protocol>tcp|udp|tls|quic|ws)/(?P<host>\[[^\]]+\]|[^:/\[\]]+):(?P<port>\d{1,5})([?#].*)?")
 
 

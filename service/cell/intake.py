@@ -66,8 +66,8 @@ class Intake:
         """Judge a sample by the ceilings in force alone. It changes nothing and may be called on any thread.
 
         Args:
-            sample: a sample that no number is known of passes: the monitor has other faults for it. So does one of
-                another source.
+            sample: one that is not plausible passes, as does one of another source: the monitor has other faults for
+                them.
         """
         newest, channels = self.sample, sample.wrench.tolist()
         if (newest is not None and sample.epoch != newest.epoch) or not is_plausible(channels):

@@ -22,7 +22,7 @@ class Rest:
         self.ticks = 1
 
     def note(self, *, disturbed: bool) -> None:
-        """Take note of a state that was passed.
+        """Take note of a state that was published.
 
         Args:
             disturbed: the world was commanded or laid out, or its arm is driven.

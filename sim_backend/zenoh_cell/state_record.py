@@ -31,7 +31,7 @@ class StateRecord:
         Args:
             world: world of one cell.
             sense: its drives.
-            counters: fields that are the server's own.
+            counters: fields that the cell counts itself, by name.
         """
         views, arm, sensor = self._views, world.arm, world.sensor
         for name, value in counters.items():

@@ -1,4 +1,4 @@
-"""The compiled tick: what numpy does in `arm`, `sensor` and `world` at every tick, in C and bit for bit the same.
+"""The compiled tick: what numpy does at every tick of a world and its drives, in C and bit for bit the same.
 
 The numpy code is the specification, and all there is where the extension is not built. Installation builds it if the
 machine has a C compiler. `docs/explanation/decisions/0027-a-compiled-tick.md` has the reasons and the figures.
