@@ -20,7 +20,7 @@ RUNTIME := $(VENV)/.installed-runtime
 TRAINING := $(VENV)/.installed-training
 DEV := $(VENV)/.installed-dev
 DOCS := $(VENV)/.installed-docs
-INSTALLED := pyproject.toml constraints.txt setup.py $(wildcard sim_backend/world/compiled/*.[ch])
+INSTALLED_FROM := pyproject.toml constraints.txt setup.py $(wildcard sim_backend/world/compiled/*.[ch])
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: help
@@ -37,22 +37,22 @@ $(BIN)/python:
 	@echo "creating $(VENV) with $$($(PYTHON) --version)"
 	@$(PYTHON) -m venv $(VENV)
 
-$(RUNTIME): $(INSTALLED) | $(BIN)/python
+$(RUNTIME): $(INSTALLED_FROM) | $(BIN)/python
 	@echo "installing what the cell needs at run time"
 	@$(PIP) --editable .
 	@touch $@
 
-$(TRAINING): $(INSTALLED) | $(BIN)/python
+$(TRAINING): $(INSTALLED_FROM) | $(BIN)/python
 	@echo "installing what training needs (torch among it)"
 	@$(PIP) --editable '.[training]'
 	@touch $@ $(RUNTIME)
 
-$(DEV): $(INSTALLED) | $(BIN)/python
+$(DEV): $(INSTALLED_FROM) | $(BIN)/python
 	@echo "installing what training, tests and linters need (torch among it)"
 	@$(PIP) --editable '.[$(EXTRAS)]'
 	@touch $@ $(RUNTIME) $(TRAINING)
 
-$(DOCS): $(INSTALLED) | $(BIN)/python
+$(DOCS): $(INSTALLED_FROM) | $(BIN)/python
 	@echo "installing what the documentation site needs"
 	@$(PIP) --editable '.[docs]'
 	@touch $@ $(RUNTIME)
@@ -94,7 +94,7 @@ else
 	$(BIN)/python -m pytest -m "realtime and not nightly"
 endif
 
-test-covered: $(DEV) ## the same tests under coverage, then a line per package (takes half as long again)
+test-covered: $(DEV) ## the same tests one after another under coverage, then a line per package
 	$(BIN)/python -m coverage run --source "$$(tr ' ' , <<< '$(PACKAGES)')" -m pytest --timeout 300 $(ARGS)
 	@echo "branch coverage; what the tests run in other processes is not counted"
 	@total() { $(BIN)/python -m coverage report --format total --precision 1 "$$@"; }; \
