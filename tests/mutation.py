@@ -1,4 +1,4 @@
-"""Mutation testing of the safety core and of a stop's confirmation: `python -m tests.mutation`.
+"""Mutation testing of the safety core and of a cell's stop path: `python -m tests.mutation`.
 
 mutmut changes one operator, constant or argument at a time, and runs the tests that reach it. A mutant that survives
 must be explained by a rule of `EXPLAINED`; others fail the command.
@@ -15,8 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-MUTATED = ("service/safety/*.py", "service/cell/standstill.py", "service/cell/arm_stops.py")
-TESTS = ("tests/service/safety", "tests/service/cell/test_standstill.py")
+MUTMUT = (sys.executable, "-m", "mutmut")
+MUTATED = ("service/safety/*.py", *(f"service/cell/{name}.py" for name in ("standstill", "arm_stops", "halting")))
+TESTS = (
+    "tests/service/safety",
+    *(f"tests/service/cell/test_{name}.py" for name in ("standstill", "latch")),
+)
 COPIED = ("api", "cli", "config", "models", "sim_backend", "training", "wire")
 SURVIVED, NOT_REACHED = 0, 33
 SETTINGS = f"""
@@ -79,13 +83,12 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="mutation-") as folder:
         place = Path(folder)
         _copy(place)
-        tool = Path(sys.executable).with_name("mutmut")
-        done = subprocess.run([tool, "run"], cwd=place, stdout=subprocess.DEVNULL)
+        done = subprocess.run([*MUTMUT, "run"], cwd=place, stdout=subprocess.DEVNULL)
         results = _results(place)
         if not results:
             print(f"mutmut ended with {done.returncode} and no result", file=sys.stderr)
             return 1
-        survivors = {name: _difference(tool, place, name) for name, code in results.items() if code == SURVIVED}
+        survivors = {name: _difference(place, name) for name, code in results.items() if code == SURVIVED}
     reasons = {name: _reason(name, difference) for name, difference in survivors.items()}
     unexplained = [name for name, reason in reasons.items() if reason is None]
     for name in unexplained:
@@ -116,8 +119,8 @@ def _results(place: Path) -> dict[str, int]:
     return found
 
 
-def _difference(tool: Path, place: Path, name: str) -> str:
-    shown = subprocess.run([tool, "show", name], cwd=place, capture_output=True, text=True).stdout
+def _difference(place: Path, name: str) -> str:
+    shown = subprocess.run([*MUTMUT, "show", name], cwd=place, capture_output=True, text=True).stdout
     lines = [line for line in shown.splitlines() if line[:1] in "+-" and not line.startswith(("+++", "---"))]
     removed = " ".join(line[1:].strip() for line in lines if line[0] == "-")
     added = " ".join(line[1:].strip() for line in lines if line[0] == "+")

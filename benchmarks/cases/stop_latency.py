@@ -73,10 +73,10 @@ def measure(scale: float) -> Result:
             Figure("over ceiling to stop, quiet, to echo", median(wired["quiet"]) / reference, "times", 3.0),
         ),
         method="In one process: from the call that passes the sample to the driver's stop. On the wire: a simulated "
-        f"cell publishes one sample of {FORCE_N:g} N while the control process has a run in its pre-flight, and times "
-        "the stop's arrival; three processes in real time, with the cell's own 500 Hz tick. Under inference: a policy "
-        "computes without a pause in a process as a control process has it. Under a flood: the API runs, and gets GET "
-        f"requests on {CONNECTIONS} connections. Runs that ended earlier are excluded.",
+        f"cell publishes samples of {FORCE_N:g} N while the control process has a run in its pre-flight, and times "
+        "from the first one to the stop's arrival; three processes in real time, with the cell's own 500 Hz tick. "
+        "Under inference: a policy computes without a pause in a process as a control process has it. Under a flood: "
+        f"the API runs, and gets GET requests on {CONNECTIONS} connections. Runs that ended earlier are excluded.",
     )
 
 

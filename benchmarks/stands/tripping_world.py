@@ -1,8 +1,8 @@
-"""A simulated cell in real time that on request publishes one sample above the ceiling and times the stop.
+"""A simulated cell in real time that on request publishes some samples above the ceiling and times the stop.
 
 Run `python -m benchmarks.stands.tripping_world ENDPOINT WORLD`. A query on `bench/trip` waits for a world that was laid
-out after the last such sample, then for a random while. It is answered once the stop has arrived, with the seconds from
-that sample's publication to the stop's arrival.
+out after the last such samples, then for a random while. It is answered once the stop has arrived, with the seconds
+from the first sample's publication to the stop's arrival.
 """
 
 import random
@@ -25,18 +25,23 @@ AFTER_TICKS = (15, 60)
 """Shortest and longest time from the layout to the sample: the run is under way, and its arm not engaged yet."""
 
 
+ABOVE_TICKS = 10
+"""Samples above the ceiling in a row: publications may be lost on a loaded host, and a true force lasts as well."""
+
+
 class TrippingCell(SimulatedCell):
-    """Falsifies the force once, only in the record; the world itself continues unchanged."""
+    """Falsifies the force for a while, only in the record; the world itself continues unchanged."""
 
     def __init__(self) -> None:
         super().__init__()
         self._draws = random.Random(0)  # noqa: S311  # a seeded draw is wanted
         self._query: zenoh.Query | None = None
         self._due_seq: int | None = None
+        self._left = 0
         self._published_s: float | None = None
 
     def trip(self, query: zenoh.Query) -> None:
-        """Falsify a sample of the present world, or of the next one; called on Zenoh's thread."""
+        """Falsify samples of the present world, or of the next one; called on Zenoh's thread."""
         self._query, self._published_s = query, None
 
     def reset(self, task: Task) -> RecordArray:
@@ -47,9 +52,11 @@ class TrippingCell(SimulatedCell):
     def tick(self, ticks: int = 1) -> RecordArray:
         record = super().tick(ticks)
         if self._query is not None and self._due_seq is not None and record["seq"][0] >= self._due_seq:
-            record["wrench"][0, 2] = FORCE_N
-            self._due_seq = None
+            self._due_seq, self._left = None, ABOVE_TICKS
             self._published_s = time.perf_counter()
+        if self._left > 0:
+            self._left -= 1
+            record["wrench"][0, 2] = FORCE_N
         return record
 
     def on_command(self, sample: zenoh.Sample) -> None:

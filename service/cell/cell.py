@@ -314,6 +314,7 @@ class Cell:
 
     async def close(self) -> None:
         """Stop, wait for standstill as long as a stop may take, and release everything."""
+        self._latch_overload()
         self._halting.close()
         self._starting.cancel()
         with contextlib.suppress(TimeoutError):

@@ -185,19 +185,27 @@ class ZenohSimDriver:
         except records.WireError as error:
             wake = self._handover.report(FaultCode.PROTOCOL, f"{self.name}: {error}")
         else:
-            self._stop_overload(sample)
-            wake = self._handover.offer(sample)
+            failed = self._stop_overload(sample)
+            wake = self._handover.offer(sample) or failed
         if wake and self._loop is not None:
             call_in_loop(self._loop, self._deliver)
 
-    def _stop_overload(self, sample: Sample) -> None:
-        """Stop the arm where the sample demands it, and again while it does not obey. Runs on Zenoh's thread."""
+    def _stop_overload(self, sample: Sample) -> bool:
+        """Stop the arm where the sample demands it, and again while it does not obey. Runs on Zenoh's thread.
+
+        Returns:
+            True if the judgement failed and the loop must be woken for it.
+        """
         if self._sink is None:
-            return
-        engaged = sample.program is records.Program.ENGAGED
-        if self._sink.overloads(sample) or (self._overloaded and engaged):
+            return False
+        try:
+            demanded = self._sink.overloads(sample)
+        except Exception as error:  # whatever it is: the sample still goes to the loop, which stops and latches
+            return self._handover.report(FaultCode.INTERNAL, f"{type(error).__name__}: {error}")
+        if demanded or (self._overloaded and sample.program is records.Program.ENGAGED):
             self._overloaded = True
             self._send(self._commands.stop)
+        return False
 
     def _deliver(self) -> None:
         samples, fault = self._handover.take()

@@ -4,7 +4,7 @@ from wire.modes import RESTING_PERIOD_S
 from wire.records import TICK_S
 
 QUIET_TICKS = 1500
-"""Ticks without a command, a reset or an arm that is driven, after which a world rests: 3 s. No measurement of a
+"""Ticks without a command, a reset or a program that is not idle, after which a world rests: 3 s. No measurement of a
 resting arm before its run takes longer, so none sees the rate change."""
 RESTING_TICKS = round(RESTING_PERIOD_S / TICK_S)
 """Ticks from one state of a resting world to the next."""
@@ -25,7 +25,7 @@ class Rest:
         """Take note of a state that was published.
 
         Args:
-            disturbed: the world was commanded or laid out, or its arm is driven.
+            disturbed: the world was commanded or laid out, or its program is not idle.
         """
         self._quiet = 0 if disturbed else self._quiet + 1
         self.ticks = 1 if self._quiet < QUIET_TICKS else RESTING_TICKS

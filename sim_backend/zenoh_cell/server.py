@@ -25,7 +25,6 @@ _QUERY_CAPACITY = 64
 _COMMAND_CAPACITY = 256
 MAX_COMMANDS_PER_TICK = 32
 """Commands that one tick applies; if more arrive, the newest are kept. STOP is never dropped."""
-_DRIVEN = (records.Program.ENGAGED, records.Program.STOPPING)
 
 _QUERIES = {
     "advance": keys.ADVANCE, "reset": keys.RESET, "claim": keys.CLAIM, "release": keys.RELEASE,
@@ -125,7 +124,8 @@ class Server:
             laid_out = query is not None and self._answer(query)
             if laid_out:
                 metronome.restart()
-            rest.note(disturbed=bool(commands) or laid_out or int(state["program"][0]) in _DRIVEN)
+            busy = int(state["program"][0]) != records.Program.IDLE  # a protective stop is timed in ticks
+            rest.note(disturbed=bool(commands) or laid_out or busy)
 
     def _take_commands(self) -> list[npt.NDArray[Any]]:
         """Return the commands since the last tick: stops first, then those after the last stop, in order."""

@@ -18,7 +18,10 @@ BRAKING_S = 0.6
 SETTLED_S = 0.05
 """Time after which a latch must survive a kill: the disk has had it."""
 UNSEEN_S = 0.3
-"""Time after the ledger was taken away in which a kill may lose the run under way: a documented limit."""
+"""Time after the ledger was taken away in which a kill may lose the run under way: a documented limit.
+
+So is a ledger that is taken away while no control process runs.
+"""
 ENDS_S = 3.0
 """Time in which a process that is told to end has ended."""
 ANSWERED_S = 1.1
@@ -58,6 +61,7 @@ class Judge:
         self._held_s = 0.0
         self._may_lose = False
         self._taken_s = -1.0
+        self._killed_id: str | None = None
         self._unrecorded: set[str | None] = set()
         self._began_s = 0.0
         self._run_id: str | None = None
@@ -86,8 +90,12 @@ class Judge:
         now, cell = self.universe.loop.time(), self.universe.cell
         if kind in ("ledger moved", "state deleted"):
             self._taken_s = now
-        elif kind in ("kill", "power cut") and now - self._taken_s < UNSEEN_S and cell is not None:
-            self._unrecorded.add(cell.runs.active_id)
+            if cell is None:
+                self._unrecorded.add(self._killed_id)
+        elif kind in ("kill", "power cut") and cell is not None:
+            self._killed_id = cell.runs.active_id
+            if now - self._taken_s < UNSEEN_S:
+                self._unrecorded.add(self._killed_id)
         if kind in HOLDING:
             self._held_s += seconds
 

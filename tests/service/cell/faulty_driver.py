@@ -72,6 +72,9 @@ class FaultyDriver:
             if self.real_time and isinstance(self._sink, Cell):
                 self._sink.watch()
 
+    def overloads(self, sample: Sample) -> bool:
+        return self._sink is not None and self._sink.overloads(sample)
+
     def on_link_fault(self, code: FaultCode, text: str) -> None:
         if self._sink is not None:
             self._sink.on_link_fault(code, text)

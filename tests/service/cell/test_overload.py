@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -103,6 +104,12 @@ def above(sample: Sample) -> Sample:
     return with_wrench(sample, fz=40.0)
 
 
+def overloads_meanwhile(cell: Cell, sample: Sample) -> bool:
+    """Judge a sample on another thread, without a turn of the loop."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(cell.overloads, sample).result()
+
+
 FINDS: dict[str, Callable[[Cell], object]] = {
     "a stale link": lambda cell: cell.on_link_fault(FaultCode.STALE, "no sample for 300 ms"),
     "an operator's stop": lambda cell: cell.stop(StopRequest()),
@@ -117,7 +124,7 @@ async def test_50_an_overload_is_the_cause_of_the_latch_whatever_the_loop_finds_
     async with faulty_cell() as faulty:
         cell = faulty.bench.cell
         run = await faulty.running()
-        assert await asyncio.to_thread(cell.overloads, above(faulty.driver.truth))
+        assert overloads_meanwhile(cell, above(faulty.driver.truth))
         finds(cell)
         ended = await faulty.assert_latched(run, FaultCode.FORCE_CEILING)
         assert ended.text.startswith("force 40")
@@ -134,3 +141,15 @@ async def test_50_an_overload_is_judged_in_a_run_alone_and_by_its_ceiling(faulty
         assert not cell.overloads(replace(above(driver.truth), epoch=driver.truth.epoch + 1)), "another's sample"
         await faulty.bench.state(CellState.LATCHED)
         assert not cell.overloads(above(driver.truth)), "latched: nothing is under way"
+
+
+async def test_50_an_overload_is_the_cause_although_the_process_is_told_to_end_first(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        cell = faulty.bench.cell
+        run = await faulty.running()
+        assert overloads_meanwhile(cell, above(faulty.driver.truth))
+        await cell.close()
+        latch, ended = cell.journal.latch, cell.runs.find(run.id)
+        assert latch is not None
+        assert ended is not None
+        assert (latch.code, ended.code) == (FaultCode.FORCE_CEILING,) * 2

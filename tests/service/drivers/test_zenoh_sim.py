@@ -30,8 +30,11 @@ class Sink:
         self.samples: list[Sample] = []
         self.faults: list[tuple[FaultCode, str]] = []
         self.stop_at_once = False
+        self.is_broken = False
 
     def overloads(self, sample: Sample) -> bool:
+        if self.is_broken:
+            raise LookupError("broken")
         stop_at_once, self.stop_at_once = self.stop_at_once, False
         return stop_at_once
 
@@ -97,6 +100,18 @@ async def test_no_order_of_a_run_follows_a_stop_from_the_transports_thread() -> 
             driver.engage(LAW, LIMITS)
             await until(lambda: sink.samples[-1].program is Program.ENGAGED)
             assert sink.faults == []
+
+
+async def test_a_judgement_that_fails_on_the_transports_thread_is_a_fault_and_the_sample_goes_on_to_the_loop() -> None:
+    endpoint = free_endpoint()
+    with sim_process(endpoint):
+        async with connected(endpoint, "real_time") as (_, sink):
+            await until(lambda: sink.samples)
+            sink.is_broken = True
+            await until(lambda: sink.faults)
+            assert sink.faults[0] == (FaultCode.INTERNAL, "LookupError: broken")
+            seen = sink.samples[-1].seq
+            await until(lambda: sink.samples[-1].seq > seen + 10)
 
 
 async def test_lockstep_delivers_every_tick_once_and_time_is_the_worlds() -> None:

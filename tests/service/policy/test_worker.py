@@ -95,3 +95,32 @@ def test_an_observation_that_comes_early_waits_for_no_repetition(
     asking.ask(Kind.FIRST, observation)
     asking.ask(Kind.NEXT, observation)
     assert len(asking.made) == 2
+
+
+def test_an_inference_that_takes_long_is_not_repeated_so_the_next_observation_does_not_wait_for_it(
+    asking: Asking, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    act = Policy.act
+
+    def slow(policy: Policy, observation: np.ndarray, hidden: np.ndarray | None = None) -> object:
+        until_s = time.process_time() + 5 * worker.WARM_UP_S
+        while time.process_time() < until_s:
+            pass
+        return act(policy, observation, hidden)
+
+    monkeypatch.setattr(Policy, "act", slow)
+    asking.ask(Kind.FIRST, np.zeros(asking.policy.contract.observation_size, np.float32))
+    time.sleep(2 * asking.policy.contract.period_s)
+    assert len(asking.made) == 1
+
+
+def test_an_observation_that_came_with_another_waits_for_no_repetition(
+    asking: Asking, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(PolicyContract, "period_s", 10 * PATIENCE_S)
+    observation = np.zeros(asking.policy.contract.observation_size, np.float32).tobytes()
+    asking.socket.sendall(encode(Kind.FIRST, observation) + encode(Kind.NEXT, observation))
+    answer = encode(Kind.ACTION, bytes(4 * len(asking.policy.contract.action)))
+    received = b""
+    while len(received) < 2 * len(answer):
+        received += asking.socket.recv(worker.PAYLOAD_LIMIT_BYTES)

@@ -4,6 +4,7 @@ import os
 
 import pytest
 
+from sim_backend.world import arm
 from sim_backend.zenoh_cell import rest as rest_module
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from sim_backend.zenoh_cell.rest import QUIET_TICKS, RESTING_TICKS, Rest
@@ -85,3 +86,34 @@ def test_a_world_is_awake_while_its_arm_is_driven(free_endpoint: str, monkeypatc
     assert len(driven) > 100
     assert set(driven) == {1}
     assert cell.passed[-1] == (records.Program.IDLE, RESTING_TICKS)
+
+
+class HaltedCell(SimulatedCell):
+    """A cell in its protective stop. It asks for the release as soon as the shortest stop is over by its own clock."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        state = self.reset(Task(3))[0]
+        self._unlock = command(records.Kind.UNLOCK, self.epoch, 1, state)[0, ...]
+        self.world.arm.program[0] = records.Program.PROTECTIVE_STOP
+        self._since_s = float(state["time_s"])
+        self.released: bool | None = None
+
+    def tick(self, ticks: int = 1) -> RecordArray:
+        state = super().tick(ticks)
+        if float(state["time_s"][0]) - self._since_s > arm.MIN_PROTECTIVE_STOP_S:
+            self.apply(self._unlock)
+            self.released = bool(self.world.arm.program[0] == records.Program.IDLE)
+            raise KeyboardInterrupt
+        return state
+
+
+def test_a_protective_stop_lasts_no_longer_for_a_world_that_is_left_alone(
+    free_endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rest_module, "QUIET_TICKS", 20)
+    monkeypatch.setattr(arm, "MIN_PROTECTIVE_STOP_S", 0.4)
+    cell = HaltedCell()
+    with open_session([free_endpoint]) as session, pytest.raises(KeyboardInterrupt):
+        Server(cell, session, "world-1", Pace.REAL_TIME).run()
+    assert cell.released

@@ -87,6 +87,9 @@ class Emulated:
     def truth(self) -> dict[str, Any]:
         return self.plant.truth()
 
+    def overloads(self, sample: Sample) -> bool:
+        return False
+
     def on_sample(self, sample: Sample) -> None:
         self.samples.append(sample)
 
