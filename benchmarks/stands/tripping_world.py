@@ -22,9 +22,7 @@ from wire.task import Task
 TRIP = "bench/trip"
 FORCE_N = 100.0
 AFTER_TICKS = (15, 60)
-"""Shortest and longest time from the layout to the sample: the run is under way, and its arm not engaged yet."""
-
-
+"""Shortest and longest time from the layout to the first sample: the run is under way, its arm not engaged yet."""
 ABOVE_TICKS = 10
 """Samples above the ceiling in a row: publications may be lost on a loaded host, and a true force lasts as well."""
 
