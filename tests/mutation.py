@@ -29,7 +29,7 @@ SETTINGS = f"""
 source_paths = ["service"]
 only_mutate = {json.dumps(MUTATED)}
 also_copy = {json.dumps(COPIED)}
-pytest_add_cli_args = ["-p", "no:cacheprovider"]
+pytest_add_cli_args = ["-p", "no:cacheprovider", "-p", "no:unraisableexception"]
 pytest_add_cli_args_test_selection = {json.dumps(TESTS)}
 """
 
