@@ -13,11 +13,18 @@ BOUNDS = {
 }
 """Two to four times what was measured on a quiet machine. A slide beyond them is a slide of the code."""
 SCALE = 0.05
+ATTEMPTS = 3
+"""A slide of the code shows in every measurement, a busy machine in one."""
 
 
 @pytest.mark.parametrize("case", sorted({case for case, _ in BOUNDS}))
 def test_the_ratio_to_the_bare_library_has_not_slid(case: str) -> None:
-    result = importlib.import_module(f"benchmarks.cases.{case}").measure(SCALE)
-    values = {figure.name: figure.value for figure in result.figures}
+    measure = importlib.import_module(f"benchmarks.cases.{case}").measure
     wanted = {name: bound for (of, name), bound in BOUNDS.items() if of == case}
-    assert {name: values[name] for name, bound in wanted.items() if not values[name] <= bound} == {}
+    beyond: dict[str, float] = {}
+    for _ in range(ATTEMPTS):
+        values = {figure.name: figure.value for figure in measure(SCALE).figures}
+        beyond = {name: values[name] for name, bound in wanted.items() if not values[name] <= bound}
+        if not beyond:
+            return
+    assert beyond == {}
