@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -216,20 +216,19 @@ class Story:
 
     def _crash(self, one: Happening) -> None:
         universe, part = self.universe, one.details["part"]
-        again = {"world": universe.start_world, "control": universe.start_control, "api": universe.start_api}
         if one.kind == "terminate":
             universe.terminate(part)
             part = part if part != "world" else None
         elif one.kind == "power cut":  # of the host; the arm's controller has a supply of its own
             for name in ("control", "api"):
                 universe.kill(name)
-                self._later(one.details["again_s"], again[name])
+                self._later(one.details["again_s"], partial(self._revive, name))
             universe.disk.cut_power()
             return
         else:
             universe.kill(part)
         if part is not None:
-            self._later(one.details["again_s"] + (1.0 if one.kind == "terminate" else 0.0), lambda: self._revive(part))
+            self._later(one.details["again_s"] + (1.0 if one.kind == "terminate" else 0.0), partial(self._revive, part))
 
     def _revive(self, part: str) -> None:
         universe = self.universe
