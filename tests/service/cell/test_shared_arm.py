@@ -138,7 +138,7 @@ def forged(kind: records.Kind, states: list[np.void], client: int, seq: int) -> 
 @asynccontextmanager
 async def stranger_at(endpoint: str) -> AsyncIterator[tuple[zenoh.Session, list[np.void]]]:
     """A session that listens to every state of the world."""
-    session, states = open_session(connect=[endpoint]), []
+    session, states = await asyncio.to_thread(open_session, connect=[endpoint]), []
     key = keys.STATE.format(world=WORLD)
 
     def keep(sample: zenoh.Sample) -> None:
@@ -150,7 +150,7 @@ async def stranger_at(endpoint: str) -> AsyncIterator[tuple[zenoh.Session, list[
         await until(lambda: states)
         yield session, states
     finally:
-        close_session(session)
+        await asyncio.to_thread(close_session, session)
 
 
 async def test_70_commands_to_the_arm_by_another_than_the_holder_have_no_effect(tmp_path: Path) -> None:
