@@ -293,12 +293,10 @@ def judged(truth: dict[str, Any], seed: int, setting: Setting, run: Run) -> Serv
 
 
 async def _started(cell: CellClient, seed: int) -> Run:
-    """Start a run as soon as the cell takes one, and reset a latched cell before."""
+    """Start a run as soon as the cell takes one."""
     deadline = time.monotonic() + READY_S
     while True:
-        refusal = await _await_ready(cell, deadline)
-        if time.monotonic() > deadline:
-            raise ServiceError(f"the cell cannot start a run: {refusal}")
+        await _await_ready(cell, deadline)
         try:
             return (await cell.start(StartRequest(recipe=RECIPE, seed=seed, requested_by=REQUESTED_BY))).run
         except CellRefusedError as error:
@@ -306,14 +304,14 @@ async def _started(cell: CellClient, seed: int) -> Run:
                 raise
 
 
-async def _await_ready(cell: CellClient, deadline: float) -> str:
-    """Wait until a run may start; return why none can if none can by the deadline."""
+async def _await_ready(cell: CellClient, deadline: float) -> None:
+    """Wait until a run may start, and reset a latched cell."""
     refusal = "it did not become ready"
     while time.monotonic() < deadline:
         try:
             status = await cell.status()
             if status.can_start:
-                break
+                return
             if status.state is CellState.LATCHED:
                 await cell.reset(ResetRequest(requested_by=REQUESTED_BY))
             refusal = status.why_not or refusal
@@ -322,7 +320,7 @@ async def _await_ready(cell: CellClient, deadline: float) -> str:
         except CellError as error:
             refusal = str(error)
         await asyncio.sleep(POLL_S)
-    return refusal
+    raise ServiceError(f"the cell cannot start a run: {refusal}")
 
 
 def _await_line(process: subprocess.Popen[bytes], log: Path) -> dict[str, str]:
