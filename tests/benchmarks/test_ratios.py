@@ -8,7 +8,7 @@ BOUNDS = {
     ("tick", "policy step to bare ONNX call"): 60.0,
     ("tick", "sample without a policy step to bare ONNX call"): 3.0,
     ("round_trip", "lockstep tick to bare query"): 25.0,
-    ("rtde", "CPU of the client to ur_rtde"): 0.5,
+    ("rtde", "CPU per package to a plain struct loop"): 8.0,
     ("inference", "call after a rest to a hot one"): 30.0,
 }
 """Two to four times what was measured on a quiet machine. A slide beyond them is a slide of the code."""
