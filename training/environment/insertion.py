@@ -155,7 +155,7 @@ class Insertions:
             (n, size) observations; rows of other cells are unchanged.
         """
         world = self.world
-        world.reset(cells, tasks)
+        world.lay_out(cells, tasks)
         self._mislead(cells, tasks)
         known = world.camera(cells) if self.contract.uses_estimate else self._nominal[cells]
         hover = known + np.column_stack([np.zeros((len(cells), 2)), world.hover(cells)])
@@ -181,9 +181,7 @@ class Insertions:
         turn = quaternion.from_rotvec(rotvec_from_yaw(bounded.yaw))
         everyone = np.arange(self.n)
         world.arm.set_target(everyone, bounded.position, turn)
-        for tick in range(contract.ticks_per_step):
-            world.tick()
-            self._window[tick] = world.sensor.wrench
+        world.advance(self._window)
         force = np.sqrt((self._window[..., :3] ** 2).sum(-1)).max(0)
         np.maximum(self.peak_force, force, out=self.peak_force)
         self.steps += 1

@@ -335,7 +335,7 @@ def test_every_cell_has_a_model_with_its_own_walls_and_grasp():
 def test_friction_holds_a_pressed_peg_against_a_sideways_force_up_to_its_cone():
     for friction, slides in ((0.6, False), (0.1, True)):
         world, _ = press(offset=(0.045, 0.0), depth=0.004)
-        world._friction[0, :, 0] = friction
+        world._layout.friction[0, :, 0] = friction
         before = world.data().site_xpos.copy(), world.position.copy()
         pressed = move(world, [0.0, 0.0, 0.0], 0.01)[0, 2]
         held = world.arm.target_position.copy()
