@@ -319,7 +319,8 @@ class World:
     def offset(self) -> FloatArray:
         """(n, 2) true position of the peg's axis in the hole's frame, m."""
         delta = self._peg_position[:, :2] - self._block_position[:, :2]
-        cosine, sine = np.cos(self.hole_yaw), np.sin(self.hole_yaw)
+        yaw = self.hole_yaw
+        cosine, sine = np.cos(yaw), np.sin(yaw)
         return np.stack([cosine * delta[:, 0] + sine * delta[:, 1], cosine * delta[:, 1] - sine * delta[:, 0]], axis=1)
 
     @property
