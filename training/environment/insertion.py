@@ -43,7 +43,7 @@ SLIP_DEPTH_M = 1e-4
 LIMITS = ControlLimits(WORKSPACE_M, FORCE_CEILING_N)
 _ALL = slice(None)
 _SEEN_ANEW = ("position", "yaw", "tilt", "hole_estimate", "last_joint")
-"""Of `Seen`, what an episode's beginning changes; the window is one array."""
+"""Fields of `Seen` that the beginning of an episode changes; the window is one array."""
 
 Rows = TypeVar("Rows")
 
@@ -130,7 +130,7 @@ class Insertions:
         self.steps = np.zeros(n, np.int64)
         self.peak_force = np.zeros(n)
         self.observation = np.zeros((n, self._policy_step.observation_size), np.float32)
-        self._seen = self._see(_ALL)
+        self._seen = self._see()
 
     @property
     def observation_size(self) -> int:
@@ -192,7 +192,7 @@ class Insertions:
         force = np.sqrt((self._window[..., :3] ** 2).sum(-1)).max(0)
         np.maximum(self.peak_force, force, out=self.peak_force)
         self.steps += 1
-        self._seen = self._see(_ALL)
+        self._seen = self._see()
         self._state, self.observation = self._observed(self._state, self._seen, _ALL)
 
         torque = np.sqrt((self._window[..., 3:] ** 2).sum(-1)).max(0)
@@ -291,7 +291,7 @@ class Insertions:
             seen.wrench_window[..., 5] *= self._torque_read[cells]
         return self._policy_step.observe(state, seen)
 
-    def _see(self, cells: CellIndices | slice) -> Seen:
+    def _see(self, cells: CellIndices | slice = _ALL) -> Seen:
         """Return what is measured in `cells`; of all, the window is the one that the next step writes into."""
         world = self.world
         rotation = world.rotation[cells]

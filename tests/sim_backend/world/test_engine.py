@@ -1,4 +1,4 @@
-"""What the compiled tick installs in MuJoCo, in a process that has other models and other callbacks too."""
+"""The callbacks of the compiled tick in a process that has other models and other callbacks too."""
 
 import ctypes
 from collections.abc import Callable, Iterator
