@@ -89,7 +89,7 @@ def _quiet(cell: Cell, watchdog: Watchdog) -> None:
         cell.journal.tell(EventKind.WARNING, cell.state, WATCHDOG_LOST)
 
 
-async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> None:
+async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = (), degradations: Sequence[str] = ()) -> None:
     """Run until SIGTERM or SIGINT; stop the arm before returning. The caller holds the lock of `alone`.
 
     Args:
@@ -97,6 +97,7 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
         driver: of its arm.
         brake: arguments of the watchdog's brake, which stops the arm in real time where the loop does not turn; without
             them there is no watchdog.
+        degradations: what this cell lacks, for its status.
 
     Raises:
         OSError: the endpoint or the state directory cannot be used.
@@ -106,11 +107,12 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     cell = Cell(config, driver, time_of_day=time.time)
+    cell.degradations = degradations
     if driver.mode == "real_time":
         settle_interpreter()  # collecting takes tens of milliseconds, which must not pass at real-time priority
         if config.asks_realtime:
             # Before Zenoh starts its threads: the loop would have to wait for a thread of ordinary priority
-            cell.degradations = request_realtime()
+            cell.degradations = (*degradations, *request_realtime())
     for line in cell.degradations:
         _log.warning("degraded", what=line)
     await _await_policies(cell, ended)

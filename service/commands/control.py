@@ -69,6 +69,7 @@ def _run(cell: CellConfig, world: Simulator) -> None:
 
     from service.cell import process
     from service.commands.drivers import make_driver
+    from service.drivers.ur import weighed
     from service.drivers.watchdog import brake_of
 
     driver = make_driver(cell)
@@ -77,7 +78,7 @@ def _run(cell: CellConfig, world: Simulator) -> None:
     async def run() -> None:
         watch = asyncio.create_task(world.watch(), name="simulator")
         try:
-            await process.run(cell, driver, brake_of(cell))
+            await process.run(cell, driver, brake_of(cell), weighed.remarks(cell))
         finally:
             watch.cancel()
 
