@@ -49,7 +49,7 @@ class Rule:
 
 
 EXPLAINED = (
-    Rule("a text for people", r"→.*XX"),
+    Rule("a text for people", r"→.*XX|_newtons\("),
     Rule("the value, limit and text of a verdict are for people; its code decides", r"Verdict\(|^[^=]*→ None,$|→ \)?$"),
     Rule("a unit in a text", r"\* 1001\.0"),
     Rule("a sum is finite only where every term is, whatever the signs", r"isfinite\(f[xyz]"),
@@ -63,6 +63,17 @@ EXPLAINED = (
         "the first sample sets it, whatever it was",
         r"self\._(episode|seq|standing|repeats) = .*→",
         "reset",
+    ),
+    Rule(
+        "a leg sets it before it reads it",
+        r"self\._(from_m|rest_n) = 0\.0 →",
+        "Probe.*init",
+    ),
+    Rule(
+        "a measured length or force that meets its limit to the last bit may fall on either side",
+        r"→ .*(>= parameters\.width_m|> (parameters\.held_n|self\._parameters\.proven_m)|< (RETURNED_M|end_m)|"
+        r"<= max\(self\._parameters\.lead_m)",
+        "Probe",
     ),
     Rule("a stop is repeated in every period, whatever its phase", r"STOP_AGAIN_TICKS == 1"),
     Rule(

@@ -68,17 +68,15 @@ def _run(cell: CellConfig, world: Simulator) -> None:
     import uvloop
 
     from service.cell import process
-    from service.commands.drivers import make_driver
+    from service.commands.drivers import brake_of, make_driver
     from service.drivers.ur import weighed
-    from service.drivers.watchdog import brake_of
 
     driver = make_driver(cell)
-    world.await_listening()
 
     async def run() -> None:
         watch = asyncio.create_task(world.watch(), name="simulator")
         try:
-            await process.run(cell, driver, brake_of(cell), weighed.remarks(cell))
+            await process.run(cell, driver, brake_of(cell), world.listens, weighed.remarks(cell))
         finally:
             watch.cancel()
 
