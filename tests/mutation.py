@@ -64,6 +64,16 @@ EXPLAINED = (
         r"self\._(episode|seq|standing|repeats) = .*→",
         "reset",
     ),
+    Rule(
+        "a leg sets it before it reads it",
+        r"self\._(from_m|rest_n) = 0\.0 →",
+        "Probe.*init",
+    ),
+    Rule(
+        "a measured length or force that meets its limit to the last bit may fall on either side",
+        r"→ .*(>= parameters\.width_m|> parameters\.held_n|< RETURNED_M|<= max\(self\._parameters\.lead_m)",
+        "Probe",
+    ),
     Rule("a stop is repeated in every period, whatever its phase", r"STOP_AGAIN_TICKS == 1"),
     Rule(
         "at the boundary both branches give the same number",

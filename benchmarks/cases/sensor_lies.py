@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.harness.result import Result
-from service.messages import CellState, ResetRequest, Run
-from service.testing import Bench, cell_config, lockstep_cell
+from service.messages import CellState, ResetRequest, RunResult, StartRequest
+from service.testing import RECIPE, Bench, cell_config, lockstep_cell
 from service.testing.lying_sensor import LIES, LyingSensor
 from sim_backend.zenoh_cell.cell import SimulatedCell
 
@@ -61,9 +61,9 @@ async def _outcomes(folder: Path, name: str | None, moment: str, seeds: Sequence
     async with lockstep_cell(cell_config(folder, POLICY), world=world) as bench:
         for seed in seeds:
             sensor.be_honest()
-            run = await _insert(bench, sensor, name, moment, seed)
+            end = await _insert(bench, sensor, name, moment, seed)
             await bench.let_pass(0.3)
-            outcomes.append(Outcome(run.code or run.state, sensor.peak_n))
+            outcomes.append(Outcome(end, sensor.peak_n))
             if bench.cell.state is CellState.LATCHED:
                 sensor.be_honest()
                 await bench.let_pass(0.3)
@@ -71,20 +71,23 @@ async def _outcomes(folder: Path, name: str | None, moment: str, seeds: Sequence
     return outcomes
 
 
-async def _insert(bench: Bench, sensor: LyingSensor, name: str | None, moment: str, seed: int) -> Run:
-    if name is None:
-        return await bench.insert(seed)
-    if moment == "from the start":
+async def _insert(bench: Bench, sensor: LyingSensor, name: str | None, moment: str, seed: int) -> str:
+    """Return how the run ended, or why the cell refused it."""
+    if name is not None and moment == "from the start":
         sensor.begin(LIES[name], absolute=True)
-    run = await bench.start(seed)
-    if moment == "from the start":
-        return await bench.ended(run)
-    await bench.state(CellState.APPROACH, CellState.READY)
-    sensor.be_honest()  # a peg that the run before left in contact does not count
-    if moment == "in contact":
-        await bench.until(lambda: sensor.peak_n > TOUCHED_N or bench.cell.runs.active is None)
-    sensor.begin(LIES[name])
-    return await bench.ended(run)
+        await bench.let_pass(0.3)
+    answer = await bench.cell.start(StartRequest(recipe=RECIPE, seed=seed))
+    if not isinstance(answer, RunResult):
+        verdict = bench.cell.status().latch
+        return f"refused, {answer.problem.reason if verdict is None else verdict.code}"
+    if name is not None and moment != "from the start":
+        await bench.state(CellState.APPROACH, CellState.READY)
+        sensor.be_honest()  # a peg that the run before left in contact does not count
+        if moment == "in contact":
+            await bench.until(lambda: sensor.peak_n > TOUCHED_N or bench.cell.runs.active is None)
+        sensor.begin(LIES[name])
+    run = await bench.ended(answer.run)
+    return run.code or run.state
 
 
 def _row(name: str, moment: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:

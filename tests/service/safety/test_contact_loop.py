@@ -25,6 +25,12 @@ LAW = ComplianceLaw(
 )
 
 
+@pytest.fixture(autouse=True)
+def _nothing_remembered() -> None:
+    """Every test computes its swings itself: a remembered one would hide a change of the code."""
+    swing.cache_clear()
+
+
 def vertically(*, damping: float, inertia: float) -> ComplianceLaw:
     return replace(LAW, damping=(380.0, 380.0, damping, 1.0, 1.0, 0.5), inertia=(2.5, 2.5, inertia, 0.06, 0.06, 0.03))
 

@@ -123,6 +123,24 @@ def test_a_tip_that_was_held_and_does_not_come_back_is_held_nevertheless_and_pul
     assert max(felt) <= max(PARAMETERS.lead_m) + PARAMETERS.step_m + 1e-12
 
 
+def test_a_leg_has_as_many_calls_as_its_patience() -> None:
+    probe = Probe(PARAMETERS, START, 0.0)
+    answers = [probe.advance(START, np.zeros(3)) for _ in range(PARAMETERS.patience + 1)]
+    assert answers == [Answer.UNDER_WAY] * PARAMETERS.patience + [Answer.STUCK]
+
+
+def test_a_tip_that_is_back_ends_the_probe_before_its_patience_ends() -> None:
+    answer, probe = ask(walls(-0.5, 0.5), replace(PARAMETERS, patience=1_000_000))
+    assert answer is Answer.HELD
+    assert np.linalg.norm(probe.target - START) <= RETURNED_M
+
+
+def test_a_tip_that_meets_nothing_has_felt_nothing() -> None:
+    answer, probe = ask(walls(-inf, inf))
+    assert answer is Answer.FREE
+    assert probe.force_n == pytest.approx(0.0, abs=1e-9)
+
+
 @pytest.mark.parametrize("field", ["sink_m", "proven_m", "clearance_m", "held_n", "step_m", "patience"])
 @pytest.mark.parametrize("bad", [0.0, -1.0, nan, inf])
 def test_a_probe_that_proves_nothing_is_refused(field: str, bad: float) -> None:
