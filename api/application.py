@@ -126,29 +126,35 @@ def create_app(config: CellConfig, path: Path) -> Protection:
             closing.set()
             cell.feed.close()
 
+        tasks: list[asyncio.Task[None]] = []
         with _on_signal(control_process.end_soon, close_streams):
-            await history.open()
-            async with client, stopper:
+            try:
+                may_be_joined = await control_process.may_be_joined()
+                if not may_be_joined:
+                    control_process.start()  # it starts while this server opens the rest
+                await asyncio.gather(history.open(), client.open(), stopper.open())
                 app.state.runtime = Runtime(config, cell, control_process, closing)
-                tasks = [_spawn(cell.follow()), _spawn(_join_or_start(cell, control_process))]
-                try:
-                    yield
-                finally:  # also where a server that is forced to end cancels this
-                    close_streams()
-                    control_process.end_soon()
-                    for task in await end_tasks(tasks, TASKS_END_S):
-                        _log.error("a background task does not end", task=repr(task))
-                    await control_process.end()
-            await history.close()
+                tasks += [_spawn(cell.follow()), _spawn(_attend(cell, control_process, may_be_joined=may_be_joined))]
+                yield
+            finally:  # also where a server that is forced to end cancels this
+                close_streams()
+                control_process.end_soon()
+                for task in await end_tasks(tasks, TASKS_END_S):
+                    _log.error("a background task does not end", task=repr(task))
+                await control_process.end()
+                await asyncio.gather(client.close(), stopper.close())
+                await history.close()
 
     return Protection(build_routes(lifespan), hosts=config.api.allowed_hosts, allow_remote=config.api.allow_remote)
 
 
-async def _join_or_start(cell: FollowedCell, control_process: ControlProcess) -> None:
-    if await control_process.may_be_joined() and await cell.wait_alive(JOIN_S):
-        _log.info("joined a control process that was there")
-        return
-    control_process.start()
+async def _attend(cell: FollowedCell, control_process: ControlProcess, *, may_be_joined: bool) -> None:
+    """Join the control process that may be there, or start one; watch the started one."""
+    if may_be_joined:
+        if await cell.wait_alive(JOIN_S):
+            _log.info("joined a control process that was there")
+            return
+        control_process.start()
     await control_process.watch()
 
 

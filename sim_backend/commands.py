@@ -11,20 +11,20 @@ from types import FrameType
 from typing import Annotated, NoReturn, get_args
 
 # ruff: noqa: E402
-# With MUJOCO_GL set, `import mujoco` itself loads that backend and fails without it; only the renderer depends on it.
-_BACKEND = os.environ.pop("MUJOCO_GL", "egl")
+# `import mujoco` would load a backend: the one that is named, or fail, else GLFW, which starts a process to learn its
+# version. The renderer alone needs one.
+_BACKEND = os.environ.get("MUJOCO_GL", "egl")
+os.environ["MUJOCO_GL"] = "disable"
 
 import typer
 import zenoh
 
-from sim_backend.ur_controller.assembly import make_controller
-from sim_backend.ur_controller.plant import Plant
-from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer, Ports
-from sim_backend.ur_controller.surroundings import Surroundings
 from sim_backend.world import appearance, compiled, rendering
-from sim_backend.world.world import World
 from sim_backend.zenoh_cell.cell import SimulatedCell
 from sim_backend.zenoh_cell.server import Pace, Server
+
+del os.environ["MUJOCO_GL"]
+
 from wire.endpoints import (
     DEFAULT_ENDPOINT,
     DEFAULT_WORLD,
@@ -130,6 +130,13 @@ def ur_controller(
 ) -> None:
     """Serve an emulated e-Series controller of the simulated arm until SIGINT, SIGTERM or a client's shutdown."""
     _exit_on_signals()
+    # Loaded here, because a world over Zenoh starts without them in half the time
+    from sim_backend.ur_controller.assembly import make_controller
+    from sim_backend.ur_controller.plant import Plant
+    from sim_backend.ur_controller.server import ANY_PORTS, ControllerServer, Ports
+    from sim_backend.ur_controller.surroundings import Surroundings
+    from sim_backend.world.world import World
+
     with contextlib.ExitStack() as stack:
         try:
             task = Task.from_json({"seed": seed, "part": part})

@@ -49,7 +49,7 @@ class Rule:
 
 
 EXPLAINED = (
-    Rule("a text for people", r"→.*XX"),
+    Rule("a text for people", r"→.*XX|_newtons\("),
     Rule("the value, limit and text of a verdict are for people; its code decides", r"Verdict\(|^[^=]*→ None,$|→ \)?$"),
     Rule("a unit in a text", r"\* 1001\.0"),
     Rule("a sum is finite only where every term is, whatever the signs", r"isfinite\(f[xyz]"),
@@ -71,7 +71,8 @@ EXPLAINED = (
     ),
     Rule(
         "a measured length or force that meets its limit to the last bit may fall on either side",
-        r"→ .*(>= parameters\.width_m|> parameters\.held_n|< RETURNED_M|<= max\(self\._parameters\.lead_m)",
+        r"→ .*(>= parameters\.width_m|> (parameters\.held_n|self\._parameters\.proven_m)|< (RETURNED_M|end_m)|"
+        r"<= max\(self\._parameters\.lead_m)",
         "Probe",
     ),
     Rule("a stop is repeated in every period, whatever its phase", r"STOP_AGAIN_TICKS == 1"),

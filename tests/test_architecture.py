@@ -67,6 +67,20 @@ def test_the_api_loads_no_simulator_and_no_inference() -> None:
     assert not loaded_by(*(m for m in RUNTIME_MODULES if m.split(".")[0] == "api")) & {"mujoco", "onnxruntime"}
 
 
+@pytest.mark.parametrize(
+    ("module", "unwanted"),
+    [
+        ("sim_backend.commands", "sim_backend.ur_controller"),
+        ("service.commands.drivers", "service.drivers.ur"),
+        ("service.drivers.watchdog", "pydantic"),
+    ],
+)
+def test_a_process_that_starts_loads_only_what_it_uses(module: str, unwanted: str) -> None:
+    program = f"import sys, {module}; print('{unwanted}' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=100)
+    assert done.stdout == "False\n", done.stderr
+
+
 @pytest.mark.parametrize("module", sorted((ROOT / "service/safety").glob("*.py")), ids=lambda path: path.stem)
 def test_safety_imports_numpy_faults_and_arithmetic_only(module: Path) -> None:
     allowed = {

@@ -14,8 +14,9 @@ SIMULATOR_PRIORITY = 30
 """Priority of a simulator: below the control process that it serves."""
 POLICY_PRIORITY = 20
 """Priority of a policy's process: below the loop that waits for its answer, above all ordinary programs."""
-SWITCH_INTERVAL_S = 5e-4
-"""Longest time for which one Python thread may hold up another, s; Python's default is 5 ms."""
+SWITCH_INTERVAL_S = 1e-4
+"""Longest time for which one Python thread may hold up another, s; Python's default is 5 ms. It is part of a stop: the
+transport's thread judges a sample while the loop computes."""
 _MCL_CURRENT_AND_FUTURE = 3
 _MCL_ONFAULT = 4
 

@@ -14,6 +14,9 @@ from wire.tls import Access, Certificates
 UNREAD_S = 0.5
 """Time for which a query or an answer waits for a peer that does not read, s; then the link to that peer is closed."""
 
+RETRY_MS = 100
+"""Period in which a peer that does not listen is tried again, ms."""
+
 RECEIVING_THREADS = 32
 """Zenoh's threads that receive, two by default. A link to a frozen peer occupies one for some time when it ends, and
 while all are occupied no stop arrives."""
@@ -53,7 +56,7 @@ def open_session(
         "connect/endpoints": list(connect),
         "connect/exit_on_failure": False,
         "connect/timeout_ms": -1,
-        "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2.0},
+        "connect/retry": {"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS, "period_increase_factor": 1.0},
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/link/tx/queue/batching/enabled": False,

@@ -55,7 +55,7 @@ class _Newest:
     def __init__(self) -> None:
         self.sample: Sample | None = None
 
-    def overloads(self, sample: Sample) -> bool:
+    def overloads(self, load: object) -> bool:
         return False
 
     def on_sample(self, sample: Sample) -> None:

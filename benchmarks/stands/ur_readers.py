@@ -75,7 +75,7 @@ async def _driver(seconds: float) -> str:
     seen = _Seen()
 
     class Sink:
-        def overloads(self, sample: Sample) -> bool:
+        def overloads(self, load: object) -> bool:
             return False
 
         def on_sample(self, sample: Sample) -> None:

@@ -28,7 +28,7 @@ from service.cell.starting import Starting
 from service.cell.states import WITH_RUN, StateMachine
 from service.cell.tick_record import TickRecord
 from service.config import CellConfig
-from service.drivers.base import Driver, Sample
+from service.drivers.base import Driver, Load, Sample
 from service.faults import FaultCode
 from service.logs import log_fault
 from service.messages import (
@@ -129,14 +129,14 @@ class Cell:
 
     # --- from the driver
 
-    def overloads(self, sample: Sample) -> bool:
+    def overloads(self, load: Load) -> bool:
         """Judge the ceilings of the run under way where the sample arrives, on the transport's thread.
 
         The loop latches later, with the first overload as the cause, whatever it finds meanwhile.
         """
         if self.state not in WITH_RUN or self._starting.preparing:
             return False
-        verdict = self._intake.judge_ceiling(sample)
+        verdict = self._intake.judge_ceiling(load)
         if verdict.fault is not None and self._overload is None:
             self._overload = verdict
         return verdict.fault is not None

@@ -7,7 +7,7 @@ import numpy as np
 from service.cell.lateness import Lateness
 from service.cell.plan import plan_monitor
 from service.config import LimitsSection
-from service.drivers.base import Program, Sample
+from service.drivers.base import Load, Program, Sample
 from service.faults import FaultCode
 from service.messages import Counters
 from service.safety.ceiling import is_plausible
@@ -62,17 +62,17 @@ class Intake:
         """Judge a sample without regard to earlier ones; keep nothing of it."""
         return _check(Monitor(self._parameters), sample)
 
-    def judge_ceiling(self, sample: Sample) -> Verdict:
-        """Judge a sample by the ceilings in force alone. It changes nothing and may be called on any thread.
+    def judge_ceiling(self, load: Load) -> Verdict:
+        """Judge a load by the ceilings in force alone. It changes nothing and may be called on any thread.
 
         Args:
-            sample: one that is not plausible passes, as does one of another source: the monitor has other faults for
+            load: one that is not plausible passes, as does one of another source: the monitor has other faults for
                 them.
         """
-        newest, channels = self.sample, sample.wrench.tolist()
-        if (newest is not None and sample.epoch != newest.epoch) or not is_plausible(channels):
+        newest = self.sample
+        if (newest is not None and load.epoch != newest.epoch) or not is_plausible(load.wrench):
             return PASSED
-        return self._ceiling.judge(channels, saturated=sample.saturated)
+        return self._ceiling.judge(load.wrench, saturated=load.saturated)
 
     def renew(self, force_ceiling_n: float | None = None) -> None:
         """Expect another source or another world: the next sample is the first.

@@ -29,6 +29,7 @@ TASKS_END_S = 0.5
 """Longest wait for a task of the cell that was cancelled, s."""
 POLICIES_S = 5.0
 """Longest time for which the cell waits for its policies before it serves, s."""
+POLL_S = 0.01
 CONNECT_S = 0.5
 ANSWER_S = 1.0
 """Time in which the process that listens at this one's endpoint must be reached, and must say which cell it is, s."""
@@ -89,17 +90,22 @@ def _quiet(cell: Cell, watchdog: Watchdog) -> None:
         cell.journal.tell(EventKind.WARNING, cell.state, WATCHDOG_LOST)
 
 
-async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> None:
+async def run(
+    config: CellConfig, driver: Driver, brake: Sequence[str] = (), world_listens: Callable[[], bool] = lambda: True
+) -> None:
     """Run until SIGTERM or SIGINT; stop the arm before returning. The caller holds the lock of `alone`.
+
+    Policies load, and clients connect, while a simulator starts. Nothing is served before both are there.
 
     Args:
         config: of the cell.
         driver: of its arm.
         brake: arguments of the watchdog's brake, which stops the arm in real time where the loop does not turn; without
             them there is no watchdog.
+        world_listens: whether the driver may connect; raises `OSError` where a simulator will never listen.
 
     Raises:
-        OSError: the endpoint or the state directory cannot be used.
+        OSError: the endpoint or the state directory cannot be used, or `world_listens` raises it.
     """
     loop = asyncio.get_running_loop()
     ended = asyncio.Event()
@@ -113,7 +119,6 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
             cell.degradations = request_realtime()
     for line in cell.degradations:
         _log.warning("degraded", what=line)
-    await _await_policies(cell, ended)
     try:
         session = await asyncio.to_thread(
             open_session, [config.cell.endpoint], (), config.certificates, _access(config)
@@ -125,7 +130,14 @@ async def run(config: CellConfig, driver: Driver, brake: Sequence[str] = ()) -> 
         await cell.close()
         raise
     try:
-        plane = ControlPlane(cell, session)
+        try:
+            while not (ended.is_set() or world_listens()):
+                await asyncio.sleep(POLL_S)
+            await _await_policies(cell, ended)
+            plane = ControlPlane(cell, session)
+        except BaseException:
+            await cell.close()
+            raise
         if ended.is_set():  # told to end while it started: nothing more is started
             await cell.close()
             return
@@ -147,7 +159,7 @@ async def _await_policies(cell: Cell, ended: asyncio.Event) -> None:
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(POLICIES_S):
             while not cell.policies_settled and not ended.is_set():
-                await asyncio.sleep(0.01)
+                await asyncio.sleep(POLL_S)
 
 
 async def _who_serves(config: CellConfig) -> str:

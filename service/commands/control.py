@@ -68,16 +68,14 @@ def _run(cell: CellConfig, world: Simulator) -> None:
     import uvloop
 
     from service.cell import process
-    from service.commands.drivers import make_driver
-    from service.drivers.watchdog import brake_of
+    from service.commands.drivers import brake_of, make_driver
 
     driver = make_driver(cell)
-    world.await_listening()
 
     async def run() -> None:
         watch = asyncio.create_task(world.watch(), name="simulator")
         try:
-            await process.run(cell, driver, brake_of(cell))
+            await process.run(cell, driver, brake_of(cell), world.listens)
         finally:
             watch.cancel()
 

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from service.commands.configured import ConfigPath, load_cell, ur_section
 from service.commands.drivers import make_driver
-from service.drivers.base import DriverError, Sample
+from service.drivers.base import DriverError, Load, Sample
 from service.drivers.ur import gate, recovery
 from service.drivers.ur.dashboard import DashboardError
 from service.drivers.ur.driver import UrDriver
@@ -107,7 +107,7 @@ async def _ask_gripper(fingers: Gripper, action: GripperAction) -> GripperStatus
 class _Onlooker:
     """Ignores a driver's samples."""
 
-    def overloads(self, sample: Sample) -> bool:
+    def overloads(self, load: Load) -> bool:
         """Ask for no stop: no run is under way."""
         return False
 

@@ -5,9 +5,9 @@ wait does so in a task or thread of its own and hands over what it received. Fra
 `docs/reference/frames.md`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from service.faults import FaultCode
 from wire.arrays import FloatArray
@@ -25,6 +25,22 @@ class DriverError(Exception):
     def __init__(self, code: FaultCode, text: str) -> None:
         super().__init__(text)
         self.code = code
+
+
+class Load(NamedTuple):
+    """The part of a sample that the ceilings are judged by.
+
+    Attributes:
+        epoch: identity of the source.
+        wrench: six forces and torques at the TCP, N and N·m, as `Sample.wrench`.
+        saturated: True if a channel of the sensor is at the end of its range.
+        engaged: True if the control program drives the arm.
+    """
+
+    epoch: int
+    wrench: Sequence[float]
+    saturated: bool
+    engaged: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +96,10 @@ class Sample:
     command_seq: int
     peak_force_n: float
 
+    @property
+    def load(self) -> Load:
+        return Load(self.epoch, self.wrench.tolist(), self.saturated, self.program is Program.ENGAGED)
+
 
 @dataclass(frozen=True, slots=True)
 class PoseTarget:
@@ -95,11 +115,12 @@ class SampleSink(Protocol):
     All but `overloads` run on the event loop's thread.
     """
 
-    def overloads(self, sample: Sample) -> bool:
-        """Return whether a sample demands a stop at once, by the ceilings of the run under way.
+    def overloads(self, load: Load) -> bool:
+        """Return whether a load demands a stop at once, by the ceilings of the run under way.
 
-        A driver whose samples arrive on another thread asks here, on that thread, before it hands the sample over. On
-        True it stops the arm, and lets no `engage`, `send_target` or `zero_ft` through until the next `prepare`.
+        A driver whose samples arrive on another thread asks here, on that thread, before it reads the rest of the
+        sample and hands it over. On True it stops the arm, and lets no `engage`, `send_target` or `zero_ft` through
+        until the next `prepare`.
         """
         ...
 

@@ -13,7 +13,6 @@ from wire.endpoints import has_listener
 
 START_S = 30.0
 END_S = 1.0
-POLL_S = 0.05
 WATCH_S = 0.5
 
 _log = structlog.get_logger("service.simulator")
@@ -29,26 +28,27 @@ class Simulator:
 
     def __init__(self, child: Child | None = None, endpoints: Sequence[str] = ()) -> None:
         self.child = child
-        self._endpoints = tuple(endpoints)
+        self._awaited = list(endpoints)
+        self._deadline_s = time.monotonic() + START_S
 
-    def await_listening(self) -> None:
-        """Wait until a started simulator listens.
+    def listens(self) -> bool:
+        """Return whether a started simulator listens by now; True for one that was already running.
 
         Raises:
-            OSError: the simulator ended at once or does not listen in time; the text says why.
+            OSError: the simulator has ended or does not listen in time; the text says why.
         """
         if self.child is None:
-            return
-        deadline = time.monotonic() + START_S
-        for endpoint in self._endpoints:
-            while not has_listener(endpoint):
-                if (ending := self.child.ending()) is not None:
-                    raise OSError(ending)
-                if time.monotonic() > deadline:
-                    raise OSError(
-                        f"the simulator does not listen at {endpoint} after {START_S:g} s; its log is {self.child.log}"
-                    )
-                time.sleep(POLL_S)
+            return True
+        while self._awaited and has_listener(self._awaited[0]):
+            self._awaited.pop(0)
+        if not self._awaited:
+            return True
+        if (ending := self.child.ending()) is not None:
+            raise OSError(ending)
+        if time.monotonic() > self._deadline_s:
+            where = self._awaited[0]
+            raise OSError(f"the simulator does not listen at {where} after {START_S:g} s; its log is {self.child.log}")
+        return False
 
     async def watch(self) -> None:
         """Wait until a started simulator ends by itself, log it and return. Runs until then or until cancelled."""
@@ -71,7 +71,7 @@ def simulator(arguments: Sequence[str], endpoints: Sequence[str], log: Path) -> 
         log: file for the output of a started simulator.
 
     Yields:
-        The simulator. Call `await_listening` before using it.
+        The simulator. Wait until it `listens` before using it.
 
     Raises:
         OSError: the simulator cannot be started.

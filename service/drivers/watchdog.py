@@ -15,11 +15,10 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol, Self, assert_never
+from typing import Protocol, Self
 
 import zenoh
 
-from service.config import CellConfig
 from service.drivers.sim_wire import BRAKE_WORD, CommandWriter
 from service.logs import log_writer
 from wire import keys
@@ -89,24 +88,11 @@ class DashboardBrake:
 _BRAKES = {"zenoh": ZenohBrake, "dashboard": DashboardBrake}
 
 
-def brake_of(config: CellConfig) -> tuple[str, ...]:
-    """Return the arguments that name the brake of a cell's arm."""
-    match config.cell.driver:
-        case "zenoh_sim":
-            files = config.certificates
-            names = () if files is None else (str(files.authority), str(files.certificate), str(files.key))
-            return "zenoh", config.sim.world, config.sim.endpoint, *names
-        case "ur":
-            return () if config.ur is None else ("dashboard", config.ur.host, str(config.ur.dashboard_port))
-        case _ as never:
-            assert_never(never)
-
-
 class Watchdog:
     """The control loop's side: keeps the watchdog quiet.
 
     Args:
-        brake: arguments from `brake_of`.
+        brake: kind of brake, `zenoh` or `dashboard`, and its arguments.
         limit_s: longest silence, s.
 
     Raises:

@@ -11,9 +11,9 @@ from typing import Any
 
 import zenoh
 
-from service.drivers.base import DriverError, PoseTarget, Sample, SampleSink
+from service.drivers.base import DriverError, Load, PoseTarget, Sample, SampleSink
 from service.drivers.handover import Handover
-from service.drivers.sim_wire import CommandWriter, check_task, read_sample
+from service.drivers.sim_wire import CommandWriter, check_task, read_load, read_sample
 from service.drivers.world_hold import WorldHold
 from service.faults import FaultCode
 from service.program import PROGRAM
@@ -177,21 +177,18 @@ class ZenohSimDriver:
         arrival_s = self._host_clock()
         if str(message.key_expr) != self._state_key:
             return  # the world names its key; a wildcard is somebody else's
+        state = message.payload.to_bytes()
+        failed = False
         try:
-            states = records.decode(message.payload.to_bytes(), records.STATE)
-            if len(states) != 1:
-                raise records.WireError(f"{len(states)} states in one publication, want one")
-            sample = read_sample(states, arrival_s)
+            failed = self._stop_overload(read_load(state))
+            wake = self._handover.offer(read_sample(state, arrival_s)) or failed
         except records.WireError as error:
-            wake = self._handover.report(FaultCode.PROTOCOL, f"{self.name}: {error}")
-        else:
-            failed = self._stop_overload(sample)
-            wake = self._handover.offer(sample) or failed
+            wake = self._handover.report(FaultCode.PROTOCOL, f"{self.name}: {error}") or failed
         if wake and self._loop is not None:
             call_in_loop(self._loop, self._deliver)
 
-    def _stop_overload(self, sample: Sample) -> bool:
-        """Stop the arm where the sample demands it, and again while it does not obey. Runs on Zenoh's thread.
+    def _stop_overload(self, load: Load) -> bool:
+        """Stop the arm where its load demands it, and again while it does not obey. Runs on Zenoh's thread.
 
         Returns:
             True if the judgement failed and the loop must be woken for it.
@@ -199,10 +196,10 @@ class ZenohSimDriver:
         if self._sink is None:
             return False
         try:
-            demanded = self._sink.overloads(sample)
+            demanded = self._sink.overloads(load)
         except Exception as error:  # whatever it is: the sample still goes to the loop, which stops and latches
             return self._handover.report(FaultCode.INTERNAL, f"{type(error).__name__}: {error}")
-        if demanded or (self._overloaded and sample.program is records.Program.ENGAGED):
+        if demanded or (self._overloaded and load.engaged):
             self._overloaded = True
             self._send(self._commands.stop)
         return False
@@ -224,7 +221,7 @@ class ZenohSimDriver:
                 replies = await self._query(self._hold.signed(keys.ADVANCE, "ticks=1"), payload, QUERY_TIMEOUT_S)
                 states = records.decode(replies[0], records.STATE)
                 self._ticks += len(states)
-                samples = [read_sample(states[i : i + 1], self._ticks * records.TICK_S) for i in range(len(states))]
+                samples = [read_sample(state.tobytes(), self._ticks * records.TICK_S) for state in states]
             except records.WireError as error:
                 self._report(FaultCode.PROTOCOL, f"{self.name}: {error}")
                 return
@@ -259,13 +256,14 @@ class ZenohSimDriver:
             write: makes the command.
             of_run: an order that does not leave any more once Zenoh's thread has stopped the run.
         """
+        publisher = self._publisher  # `close` may take it away meanwhile
         if self.mode == "lockstep":
             self._pending.append(write())
-        elif self._publisher is not None:
+        elif publisher is not None:
             try:
                 with self._sending:
                     if not (of_run and self._overloaded):
-                        self._publisher.put(write().tobytes())
+                        publisher.put(write().tobytes())
             except zenoh.ZError as error:
                 self._report(FaultCode.LINK, f"{self.name}: a command could not be sent: {error}")
 

@@ -1,5 +1,6 @@
 """The ceilings on the measured force and torque: one judgement for the monitor and for the judge at the transport."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, inf, isfinite
 
@@ -10,7 +11,7 @@ PLAUSIBLE = 1e6
 """Largest plausible magnitude, in N, N·m, m, rad and their rates. No cell measures more, and squares may overflow."""
 
 
-def is_plausible(channels: list[float]) -> bool:
+def is_plausible(channels: Sequence[float]) -> bool:
     """Return whether all numbers are finite and at most `PLAUSIBLE` in magnitude."""
     # A sum is finite only if every term is finite; `max` has a meaning only then
     return isfinite(sum(channels)) and max(map(abs, channels)) <= PLAUSIBLE
@@ -32,7 +33,7 @@ class Ceiling:
     force_range_n: float = inf
     torque_range_nm: float = inf
 
-    def judge(self, channels: list[float], *, saturated: bool) -> Verdict:
+    def judge(self, channels: Sequence[float], *, saturated: bool) -> Verdict:
         """Judge a plausible wrench.
 
         Args:

@@ -112,4 +112,4 @@ class InProcessDriver:
             self._cell.apply(command[0])
         record = self._cell.tick()
         self._ticks += 1
-        return read_sample(record, self._ticks * records.TICK_S)
+        return read_sample(record.tobytes(), self._ticks * records.TICK_S)

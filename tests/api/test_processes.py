@@ -14,6 +14,8 @@ import httpx
 import pytest
 
 from api import application
+from api.control_process import ControlProcess
+from api.history import RunHistory
 from service.config import PATH_VARIABLE
 from service.messages import CellState
 from tests.api.wire_cell import WireCell, free_port, serving, until, write_config
@@ -84,6 +86,30 @@ async def test_a_control_process_is_started_at_once_where_nothing_listens(
     monkeypatch.setattr(application, "JOIN_S", 3600.0)
     async with serving(write_config(tmp_path, cell_port, autostart=True)) as api:
         await until(lambda: api.runtime.control_process.child is not None)
+
+
+async def test_a_control_process_is_started_before_the_server_opens_anything(
+    tmp_path: Path, cell_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = asyncio.Event()
+    open_history = RunHistory.open
+
+    async def held_up(history: RunHistory) -> None:
+        await opened.wait()
+        await open_history(history)
+
+    monkeypatch.setattr(RunHistory, "open", held_up)
+    started: list[ControlProcess] = []
+    start = ControlProcess.start
+
+    def noted(control_process: ControlProcess) -> None:
+        start(control_process)
+        started.append(control_process)
+        opened.set()
+
+    monkeypatch.setattr(ControlProcess, "start", noted)
+    async with asyncio.timeout(20), serving(write_config(tmp_path, cell_port, autostart=True)) as api:
+        assert started == [api.runtime.control_process]
 
 
 async def test_a_control_process_that_listens_is_given_time_to_be_heard(

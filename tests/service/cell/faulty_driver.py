@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from service.cell.cell import Cell
-from service.drivers.base import Driver, PoseTarget, Sample, SampleSink
+from service.drivers.base import Driver, Load, PoseTarget, Sample, SampleSink
 from service.faults import FaultCode
 from wire.law import ComplianceLaw, ControlLimits
 from wire.task import Task
@@ -72,8 +72,8 @@ class FaultyDriver:
             if self.real_time and isinstance(self._sink, Cell):
                 self._sink.watch()
 
-    def overloads(self, sample: Sample) -> bool:
-        return self._sink is not None and self._sink.overloads(sample)
+    def overloads(self, load: Load) -> bool:
+        return self._sink is not None and self._sink.overloads(load)
 
     def on_link_fault(self, code: FaultCode, text: str) -> None:
         if self._sink is not None:

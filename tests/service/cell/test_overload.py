@@ -107,7 +107,7 @@ def above(sample: Sample) -> Sample:
 def overloads_meanwhile(cell: Cell, sample: Sample) -> bool:
     """Judge a sample on another thread, without a turn of the loop."""
     with ThreadPoolExecutor(1) as pool:
-        return pool.submit(cell.overloads, sample).result()
+        return pool.submit(cell.overloads, sample.load).result()
 
 
 FINDS: dict[str, Callable[[Cell], object]] = {
@@ -133,14 +133,14 @@ async def test_50_an_overload_is_the_cause_of_the_latch_whatever_the_loop_finds_
 async def test_50_an_overload_is_judged_in_a_run_alone_and_by_its_ceiling(faulty_cell: FaultyCell) -> None:
     async with faulty_cell(force_ceiling_n=20.0, impact_n=30.0) as faulty:
         cell, driver = faulty.bench.cell, faulty.driver
-        assert not cell.overloads(above(driver.truth)), "READY: the loop judges"
+        assert not cell.overloads(above(driver.truth).load), "READY: the loop judges"
         await faulty.running()
-        assert cell.overloads(with_wrench(driver.truth, fz=21.0))
-        assert not cell.overloads(with_wrench(driver.truth, fz=19.0))
-        assert not cell.overloads(with_wrench(driver.truth, fz=float("nan"))), "no sample to stop for by its force"
-        assert not cell.overloads(replace(above(driver.truth), epoch=driver.truth.epoch + 1)), "another's sample"
+        assert cell.overloads(with_wrench(driver.truth, fz=21.0).load)
+        assert not cell.overloads(with_wrench(driver.truth, fz=19.0).load)
+        assert not cell.overloads(with_wrench(driver.truth, fz=float("nan")).load), "no sample to stop for by its force"
+        assert not cell.overloads(replace(above(driver.truth), epoch=driver.truth.epoch + 1).load), "another's sample"
         await faulty.bench.state(CellState.LATCHED)
-        assert not cell.overloads(above(driver.truth)), "latched: nothing is under way"
+        assert not cell.overloads(above(driver.truth).load), "latched: nothing is under way"
 
 
 async def test_50_an_overload_is_the_cause_although_the_process_is_told_to_end_first(faulty_cell: FaultyCell) -> None:

@@ -20,9 +20,10 @@ import zenoh
 
 from service.cell.lateness import Lateness
 from service.client import CellClient
+from service.commands.drivers import brake_of
 from service.drivers.base import Program, Sample
 from service.drivers.sim_wire import read_sample
-from service.drivers.watchdog import Watchdog, brake_of
+from service.drivers.watchdog import Watchdog
 from service.faults import FaultCode
 from service.messages import CellState, Counters, Latch, StartRequest
 from service.notify import Notifier
@@ -30,7 +31,7 @@ from tests.service.cell.conftest import EASY
 from tests.service.cell.test_process import configured, control_process, until
 from tests.service.drivers.ur.emulated import emulated, ur_cell_config
 from tests.service.sim_server import free_endpoint, sim_process
-from wire import keys, records
+from wire import keys
 from wire.records import StopReason
 from wire.rtde.modes import RuntimeState
 from wire.session import close_session, open_session
@@ -47,8 +48,7 @@ class Witness:
         self.samples: list[Sample] = []
 
     def keep(self, state: zenoh.Sample) -> None:
-        record = records.decode(state.payload.to_bytes(), records.STATE)
-        self.samples.append(read_sample(record, time.monotonic()))
+        self.samples.append(read_sample(state.payload.to_bytes(), time.monotonic()))
 
     def engaged(self) -> bool:
         return bool(self.samples) and self.samples[-1].program is Program.ENGAGED

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from service.drivers.base import DriverError, PoseTarget, Program, Sample
+from service.drivers.base import DriverError, Load, PoseTarget, Program, Sample
 from service.drivers.zenoh_sim import ZenohSimDriver
 from service.faults import FaultCode
 from service.testing.in_process import InProcessDriver
@@ -32,7 +32,7 @@ class Sink:
         self.stop_at_once = False
         self.is_broken = False
 
-    def overloads(self, sample: Sample) -> bool:
+    def overloads(self, load: Load) -> bool:
         if self.is_broken:
             raise LookupError("broken")
         stop_at_once, self.stop_at_once = self.stop_at_once, False
@@ -200,12 +200,12 @@ def impostor() -> AsyncIterator[tuple[str, zenoh.Session]]:
     ("payload", "says"),
     [
         (b"", "0 bytes"),
-        (state()[:-1], "bytes are not a whole number"),
+        (state()[:-1], "511 bytes are not one state"),
         (b"\xff" * records.STATE.itemsize, "wrong magic"),
         (state(version=99), "schema version 99"),
         (state(kind=records.Kind.STOP), "kind 4 on a state key"),
         (state(program=77), "77 is not a valid Program"),
-        (state() * 2, "2 states"),
+        (state() * 2, "1024 bytes are not one state"),
     ],
     ids=["empty", "half", "garbage", "version", "kind", "enumeration", "two"],
 )

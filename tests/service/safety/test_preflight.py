@@ -74,6 +74,11 @@ def test_an_arm_at_the_start_pose_may_start() -> None:
     assert check_start_pose(LIMITS, *POSE, POSE[0] + 2e-3, -3.15).fault is None
 
 
+def test_an_arm_at_the_limit_of_the_tilt_may_start() -> None:
+    limits, at_limit = replace(LIMITS, tilt_rad=0.25), np.array([0.25, 0.0])
+    assert check_start_pose(limits, POSE[0], 3.1, at_limit, POSE[0], 3.1).fault is None
+
+
 @pytest.mark.parametrize(
     ("position", "yaw", "tilt", "name"),
     [

@@ -78,6 +78,11 @@ def test_a_run_stays_about_its_hole(where: np.ndarray, why: str | None) -> None:
     assert (text is None) if why is None else (why in text)
 
 
+def test_a_tip_at_the_limits_of_the_room_has_not_strayed() -> None:
+    hole = np.zeros(3)
+    assert PARAMETERS.why_stray(hole, np.array([PARAMETERS.room_m, 0.0, PARAMETERS.above_m])) is None
+
+
 def test_a_finding_counts_after_two_steps_in_a_row() -> None:
     seating = Seating(PARAMETERS)
     deep, shallow = tip(z_mm=-3.5), tip(z_mm=-2.0)

@@ -17,7 +17,7 @@ from service.cell.cell import Cell
 from service.cell.inference import InferenceKind, InlineInference
 from service.cell.process import attended
 from service.config import CellConfig
-from service.drivers.base import Driver, Sample
+from service.drivers.base import Driver, Load, Sample
 from service.drivers.sim_wire import check_task
 from service.drivers.ur.driver import UrDriver
 from service.drivers.world_setup import LaidOut
@@ -87,7 +87,7 @@ class Emulated:
     def truth(self) -> dict[str, Any]:
         return self.plant.truth()
 
-    def overloads(self, sample: Sample) -> bool:
+    def overloads(self, load: Load) -> bool:
         return False
 
     def on_sample(self, sample: Sample) -> None:

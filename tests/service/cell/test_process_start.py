@@ -1,0 +1,61 @@
+"""The start of a control process: what waits for its simulator, and what does not."""
+
+import asyncio
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+from service.client import CellClient
+from service.messages import CellState
+from tests.scheduling import children
+from tests.service.cell.test_process import configured, started_control, until
+from wire.endpoints import has_listener
+
+
+async def child(process: subprocess.Popen[bytes], words: str) -> int:
+    """Wait for a child of a process with these words in its command line; return its id."""
+    found: list[int] = []
+
+    def look() -> bool:
+        found.extend(pid for pid, line in children(process.pid).items() if words in line)
+        return bool(found)
+
+    await until(look)
+    return found[0]
+
+
+async def test_policies_load_and_clients_connect_while_the_simulator_starts(tmp_path: Path) -> None:
+    path, endpoint = configured(tmp_path)
+    with started_control(path) as process:
+        simulator = await child(process, "sim serve")
+        os.kill(simulator, signal.SIGSTOP)
+        await child(process, "policy.worker")
+        await until(lambda: has_listener(endpoint))
+        async with CellClient("cell-1", [endpoint]) as client:
+            await asyncio.sleep(0.5)
+            assert client.state is CellState.UNKNOWN, "nothing is served before the simulator listens"
+            os.kill(simulator, signal.SIGCONT)
+            await until(lambda: client.state is CellState.READY)
+
+
+async def test_a_control_process_that_waits_for_its_simulator_ends_when_told_to(tmp_path: Path) -> None:
+    path, endpoint = configured(tmp_path)
+    with started_control(path) as process:
+        simulator = await child(process, "sim serve")
+        os.kill(simulator, signal.SIGSTOP)
+        await until(lambda: has_listener(endpoint))
+        process.send_signal(signal.SIGTERM)
+        assert await asyncio.to_thread(process.wait, 20) == 0
+        assert not Path(f"/proc/{simulator}").exists()
+
+
+async def test_a_simulator_that_ends_while_it_starts_ends_the_control_process(tmp_path: Path) -> None:
+    path, _ = configured(tmp_path)
+    with started_control(path, stderr=subprocess.PIPE) as process:
+        simulator = await child(process, "sim serve")
+        os.kill(simulator, signal.SIGKILL)
+        _, said = await asyncio.to_thread(process.communicate, timeout=20)
+        assert process.returncode == 3
+        assert b"the control process cannot run: the simulator (pid " in said
+        assert b"Traceback" not in said
