@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.config import CellConfig, LimitsSection, RecipeSection
+from service.policy.compiled.policy_step import policy_step
 from service.policy.contract import PolicyContract
 from service.policy.step import PolicyStep, command_bounds
 from service.safety.dsl import DslOutput
@@ -146,7 +147,7 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         limits=control,
         preflight=PreflightParameters(**config.preflight.model_dump()),
         witness=WitnessParameters(**config.witness.model_dump()),
-        step=PolicyStep(contract, bounds),
+        step=policy_step(contract, bounds),
         seating=SeatingParameters(
             success_depth_m=recipe.success_depth_m,
             clearance_m=recipe.clearance_m,

@@ -287,7 +287,7 @@ async def test_an_error_of_ours_after_an_answer_from_elsewhere_latches_internal(
         def fail(*_: object) -> None:
             raise ZeroDivisionError("ours")
 
-        monkeypatch.setattr("service.safety.dsl.step", fail)
+        monkeypatch.setattr("service.safety.seating.Seating.observe", fail)
         ended = await faulty.assert_latched(run, FaultCode.INTERNAL)
         assert "ZeroDivisionError" in ended.text
 
