@@ -7,7 +7,7 @@ from mujoco.batch import Batch
 
 from sim_backend.world import scene
 from sim_backend.world.conditions import Episode
-from sim_backend.world.parts import wall_centres
+from sim_backend.world.parts import hole_walls, wall_centres
 from wire.arrays import CellIndices, FloatArray
 
 
@@ -20,7 +20,10 @@ class Layout:
 
     Attributes:
         block_position: (n, 3) view of the centre of the hole's mouth, m.
-        block_quat: (n, 4) view of the block's orientation.
+        hole_yaw: (n,) yaw of the hole, rad.
+        hole_turn: cosine and sine of it, (n,) each.
+        outward: cosine and sine of the angles of the walls' outward normals, (w,) each, hole frame.
+        wall_distance: (n, w) distance of the walls' faces from the hole's centre, m.
         friction: (n, geoms, 3) view of the coefficients of friction.
         mass: (n, bodies) view, kg.
     """
@@ -29,7 +32,12 @@ class Layout:
         self._scene = scene
         self._carried = [scene.gripper_body, scene.peg_body]
         self.block_position: FloatArray = batch.bind("mocap_pos")[:, 0]
-        self.block_quat: FloatArray = batch.bind("mocap_quat")[:, 0]
+        self.hole_yaw = np.zeros(batch.nsim)
+        self.hole_turn = np.ones(batch.nsim), np.zeros(batch.nsim)
+        walls = hole_walls(scene.part, np.zeros(batch.nsim))
+        self.outward: tuple[FloatArray, FloatArray] = np.cos(walls[0, :, 0]), np.sin(walls[0, :, 0])
+        self.wall_distance: FloatArray = walls[:, :, 1].copy()
+        self._block_quat = batch.bind("mocap_quat")[:, 0]
         self.friction: FloatArray = batch.expand("geom_friction")
         self.mass: FloatArray = batch.expand("body_mass")
         self._wall_position = batch.expand("geom_pos")
@@ -46,6 +54,7 @@ class Layout:
             return np.array([getattr(episode, name) for episode in episodes])
 
         self.move_hole(cells, of("hole_position"), of("hole_yaw"))
+        self.wall_distance[cells] = hole_walls(self._scene.part, clearance_m)[:, :, 1]
         centres = wall_centres(self._scene.part, clearance_m, scene.WALL_HALF_THICKNESS_M)
         self._wall_position[rows, self._scene.wall_geoms, :2] = centres
         self.friction[cells, :, 0] = of("friction")[:, None]
@@ -60,4 +69,8 @@ class Layout:
         """Move the holes of `cells` (k,) to `position` (k, 3), m, and `yaw` (k,), rad."""
         half = 0.5 * yaw
         self.block_position[cells] = position
-        self.block_quat[cells] = np.column_stack([np.cos(half), np.zeros((len(cells), 2)), np.sin(half)])
+        self._block_quat[cells] = np.column_stack([np.cos(half), np.zeros((len(cells), 2)), np.sin(half)])
+        stored = 2.0 * np.arctan2(self._block_quat[cells, 3], self._block_quat[cells, 0])
+        self.hole_yaw[cells] = stored
+        for turn, function in zip(self.hole_turn, (np.cos, np.sin), strict=True):
+            turn[cells] = function(stored)

@@ -15,7 +15,7 @@ from sim_backend.world.arm import ArmController
 from sim_backend.world.conditions import CAMERA_FRAMES, Episode, draw
 from sim_backend.world.layout import Layout
 from sim_backend.world.linear import product
-from sim_backend.world.parts import HOLE_DEPTH_M, hole_walls
+from sim_backend.world.parts import HOLE_DEPTH_M
 from sim_backend.world.sensor import ForceTorqueSensor
 from sim_backend.world.servo import gains
 from sim_backend.world.telling import Telling
@@ -61,7 +61,7 @@ class World:
         batch = self._batch
         self._qpos, self._qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self._layout = Layout(batch, self._scene)
-        self._block_position, self._block_quat = self._layout.block_position, self._layout.block_quat
+        self._block_position = self._layout.block_position
         self._servo_torques, self._constraint_torques = batch.bind("actuator_force"), batch.bind("qfrc_constraint")
         self._passive_torques, self._bias_torques = batch.bind("qfrc_passive"), batch.bind("qfrc_bias")
         self._warmstart = batch.bind("qacc_warmstart")
@@ -319,14 +319,13 @@ class World:
     def offset(self) -> FloatArray:
         """(n, 2) true position of the peg's axis in the hole's frame, m."""
         delta = self._peg_position[:, :2] - self._block_position[:, :2]
-        yaw = self.hole_yaw
-        cosine, sine = np.cos(yaw), np.sin(yaw)
+        cosine, sine = self._layout.hole_turn
         return np.stack([cosine * delta[:, 0] + sine * delta[:, 1], cosine * delta[:, 1] - sine * delta[:, 0]], axis=1)
 
     @property
     def hole_yaw(self) -> FloatArray:
-        """(n,) true yaw of the hole, rad."""
-        return 2.0 * np.arctan2(self._block_quat[:, 3], self._block_quat[:, 0])
+        """(n,) copy of the true yaw of the hole, rad."""
+        return self._layout.hole_yaw.copy()
 
     @property
     def friction(self) -> FloatArray:
@@ -346,10 +345,9 @@ class World:
     @property
     def contained(self) -> BoolArray:
         """(n,) mask: the peg's axis lies inside the hole's outline, and its bottom is not below the hole's floor."""
-        walls = hole_walls(self._scene.part, self.clearance)
-        offset = self.offset
-        along = np.cos(walls[:, :, 0]) * offset[:, :1] + np.sin(walls[:, :, 0]) * offset[:, 1:]
-        inside = np.logical_and.reduce(along <= walls[:, :, 1], axis=1)
+        offset, (x, y) = self.offset, self._layout.outward
+        along = x * offset[:, :1] + y * offset[:, 1:]
+        inside = np.logical_and.reduce(along <= self._layout.wall_distance, axis=1)
         return inside & (self.depth <= HOLE_DEPTH_M + FLOOR_GIVE_M)
 
     @property
