@@ -5,7 +5,6 @@ It uses plain floats and `math`: on six numbers numpy's call overhead would domi
 
 from dataclasses import dataclass, fields
 from math import hypot, inf, isfinite, nan
-from operator import eq
 
 from service.faults import FaultCode
 from service.safety.ceiling import Ceiling, is_plausible
@@ -100,7 +99,7 @@ class Repeats:
         Returns:
             What is stuck, since how many samples, and their limit; None if nothing is.
         """
-        if not any(map(eq, channels, self._last)):  # as nearly always; every limit is 2 or more
+        if not any(map(float.__eq__, channels, self._last)):  # as nearly always; every limit is 2 or more
             self._last, self._since = channels, [1] * 6
             return None
         since = self._since = [
