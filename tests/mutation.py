@@ -51,6 +51,9 @@ class Rule:
 EXPLAINED = (
     Rule("a text for people", r"→.*XX|_newtons\("),
     Rule("the value, limit and text of a verdict are for people; its code decides", r"Verdict\(|^[^=]*→ None,$|→ \)?$"),
+    Rule("the same verdict with other numbers or another text for people", r"^(FaultCode\.\w+), .*→ \1, "),
+    Rule("all rows are alike whichever they are compared with", r"window == window\[1\]"),
+    Rule("a corner has three numbers, as its type says", r"strict=|workspace_upper, \)"),
     Rule("a unit in a text", r"\* 1001\.0"),
     Rule("a sum is finite only where every term is, whatever the signs", r"isfinite\(f[xyz]"),
     Rule("the default of an empty sequence, which no caller passes", r"default="),

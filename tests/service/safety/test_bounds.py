@@ -194,6 +194,7 @@ def test_a_batch_is_bounded_as_its_elements_are(commands: list[tuple[list[float]
         ("leash_m", float("nan")),
         ("yaw_half_range_rad", 0.0),
         ("workspace_lower", (0.5, 0.0, 0.0)),
+        ("workspace_lower", (0.4, -0.1, 0.0)),
         ("workspace_upper", (float("inf"), 1.0, 1.0)),
         ("yaw_centre_rad", float("inf")),
     ],
