@@ -10,7 +10,6 @@ the identity, and that of the torque the cross product with the payload's centre
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import compress
 from math import sqrt
 
 import numpy as np
@@ -356,7 +355,7 @@ def _cross_matrix(centre: tuple[float, float, float]) -> FloatArray:
 
 
 def _names(channels: BoolArray) -> str:
-    return ", ".join(compress(CHANNELS, channels))
+    return ", ".join(CHANNELS[index] for index in np.flatnonzero(channels))
 
 
 def _millimetres(centre: tuple[float, float, float]) -> str:
