@@ -49,7 +49,7 @@ class Rule:
 
 
 EXPLAINED = (
-    Rule("a text for people", r"→.*XX|_newtons\("),
+    Rule("a text for people", r"→.*XX|_newtons\(|→ text=None,$"),
     Rule("the value, limit and text of a verdict are for people; its code decides", r"Verdict\(|^[^=]*→ None,$|→ \)?$"),
     Rule("the same verdict with other numbers or another text for people", r"^(FaultCode\.\w+), .*→ \1, "),
     Rule("all rows are alike whichever they are compared with", r"window == window\[1\]"),
