@@ -5,6 +5,7 @@ Every sample that the monitor has passed goes in; orders come out, in the order 
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -117,6 +118,10 @@ class Insertion:
         """Height of the lock at the last policy step; None without a lock."""
         lock = None if self.last is None else float(self.last.dsl.z_lock)
         return lock if lock is not None and np.isfinite(lock) else None
+
+    def asks_at(self, sample: Sample) -> bool:
+        """Return whether the policy was asked at this sample and has not answered."""
+        return self._asked is not None and self._asked.sample is sample
 
     def duration_s(self, now_s: float) -> float:
         """Return the time since the first approach move, on the samples' clock."""
@@ -306,7 +311,7 @@ class Insertion:
             return
         seen = self._see(sample)
         self._state, observation = plan.step.observe(self._state, seen)
-        if not np.isfinite(observation).all():
+        if not isfinite(sum(observation.tolist())):  # in double precision single ones cannot overflow
             yield self._halt(FaultCode.SENSOR_INVALID, "an observation of the policy is not known: check the camera")
             return
         self._asked = Asked(sample, seen, observation)
@@ -327,13 +332,14 @@ class Insertion:
 
     def _act(self, asked: Asked, action: FloatArray) -> Iterator[Order]:
         plan, sample = self._plan, asked.sample
-        if not np.isfinite(action).all():
-            yield self._halt(FaultCode.POLICY_INVALID, f"the policy answered {action.tolist()}; nothing was sent")
+        values: list[float] = action.tolist()
+        if not all(map(isfinite, values)):
+            yield self._halt(FaultCode.POLICY_INVALID, f"the policy answered {values}; nothing was sent")
             return
         self._state, decision = plan.step.act(self._state, asked.seen, action)
         bounded = decision.bounded
         if bool(bounded.invalid):
-            text = f"the action {action.tolist()} leads to no pose; nothing was sent"
+            text = f"the action {values} leads to no pose; nothing was sent"
             yield self._halt(FaultCode.POLICY_INVALID, text)
             return
         order = self._move(bounded.position, float(bounded.yaw))
@@ -355,7 +361,7 @@ class Insertion:
             text = f"the tool is tilted by {lean:.3f} rad, limit {plan.step.bounds.tilt_rad:g} rad; nothing was sent"
             yield self._halt(FaultCode.BOUNDS, text)
             return
-        excess, change = float(plan.step.actions.excess(action)), float(bounded.excess)
+        excess, change = max(map(abs, values)), float(bounded.excess)
         outrageous = excess > OUTRAGEOUS_ACTION or change > OUTRAGEOUS_CHANGE
         self._outrageous = self._outrageous + 1 if outrageous else 0
         if self._outrageous >= plan.clamped_steps:

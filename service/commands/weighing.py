@@ -9,7 +9,7 @@ from rich.table import Table
 
 from service.config import UrSection
 from service.drivers.ur.weighing import weighings
-from service.safety.weighing import AXES, CHANNELS, MIN_ATTITUDES, MIN_TURN_RAD, POINTING, Weighing
+from service.safety.weighing import AXES, CHANNELS, MIN_ATTITUDES, MIN_TURN_RAD, Weighing
 from wire.arrays import FloatArray
 
 BEGIN = (
@@ -127,12 +127,8 @@ def _progress(weighing: Weighing) -> Iterator[str]:
         yield f"weight shown so far: {shown}; each axis needs {weighing.scale.needed_n:g} N"
     yield from weighing.findings
     axis = weighing.next_axis()
-    turn = np.degrees(np.arccos(np.clip(newest.down @ POINTING[axis], -1.0, 1.0)))
     way = "up" if axis.startswith("-") else "down"
-    yield (
-        f"next: turn the tool until the flange's {axis[-1]} axis points {way}, {turn:.0f}° from here, or as far that "
-        "way as the arm goes"
-    )
+    yield f"next: turn the tool until the flange's {axis[-1]} axis points {way}, or as far that way as the arm goes"
 
 
 def _lengths(residual: FloatArray) -> tuple[float, float]:

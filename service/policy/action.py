@@ -76,10 +76,3 @@ class ActionMap:
             "squared": self._squared,
             "in_tool_frame": self._in_tool_frame,
         }
-
-    def excess(self, action: npt.ArrayLike) -> FloatArray:
-        """Return the largest |component| (...) of an action.
-
-        Above 1 the action was cut; a run counts consecutive large values.
-        """
-        return np.abs(np.asarray(action, np.float64)).max(-1)

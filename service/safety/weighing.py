@@ -44,7 +44,9 @@ POINTING: Mapping[str, tuple[float, float, float]] = {
     "-x": (-1.0, 0.0, 0.0),
     "-y": (0.0, -1.0, 0.0),
 }
-"""Attitudes to propose, by the flange's axis that points down. A tool that points upwards is not proposed."""
+"""Attitudes to propose, by the flange's axis that points down."""
+UPWARDS = "-z"
+"""The last attitude to propose: few cells have room for a tool that points upwards."""
 _REWIRE = "correct the mounting of the sensor or the settings of its driver, and weigh again"
 
 
@@ -163,9 +165,9 @@ class Weighing:
         weight_n = scale.payload.weight_n
         apart = downs - downs.mean(0)
         self.shown_n = weight_n * np.array([_alone(apart, axis) for axis in range(3)])
-        fit = np.linalg.lstsq(np.column_stack((weight_n * downs, np.ones(len(rests)))), read, rcond=None)[0]
-        self.gain = np.asarray(fit[:3, :3].T, np.float64)
-        self.lever_m = np.asarray(fit[:3, 3:].T, np.float64)
+        solved = np.linalg.lstsq(np.column_stack((weight_n * downs, np.ones(len(rests)))), read)[0]
+        fit = np.asarray(solved, np.float64)
+        self.gain, self.lever_m = fit[:3, :3].T, fit[:3, 3:].T
         over = read - np.array([np.concatenate(scale.payload.load(down)) for down in downs])
         self.residuals: FloatArray = over - over.mean(0)
 
@@ -221,16 +223,13 @@ class Weighing:
         return float(np.arccos(np.clip(nearest, -1.0, 1.0)))
 
     def next_axis(self) -> str:
-        """Return the axis of the flange that shows most if it points down next; one of `POINTING`."""
-        taken = np.array([rest.down for rest in self.rests])
+        """Return the axis of the flange to point down next: the one of `POINTING` farthest from what was taken."""
 
-        def volume(axis: str) -> float:
-            apart = np.vstack((taken, POINTING[axis]))
-            apart = apart - apart.mean(0)
-            # Two attitudes span no volume; equal ones are in the order of `POINTING`
-            return round(float(np.linalg.det(apart.T @ apart + 1e-2 * np.eye(3))), 9)
+        def turned_rad(axis: str) -> float:
+            return self.turned_rad(np.array(POINTING[axis]))
 
-        return max(POINTING, key=volume)
+        farthest = max(POINTING, key=turned_rad)
+        return farthest if turned_rad(farthest) >= MIN_TURN_RAD else UPWARDS
 
     @cached_property
     def findings(self) -> tuple[str, ...]:
@@ -346,7 +345,7 @@ class Weighing:
 def _alone(apart: FloatArray, axis: int) -> float:
     """Return the length of column `axis` of `apart` (n, 3), less its part along the other two columns."""
     column, others = apart[:, axis], np.delete(apart, axis, axis=1)
-    return float(np.linalg.norm(column - others @ np.linalg.lstsq(others, column, rcond=None)[0]))
+    return float(np.linalg.norm(column - others @ np.linalg.lstsq(others, column)[0]))
 
 
 def _cross_matrix(centre: tuple[float, float, float]) -> FloatArray:
@@ -356,7 +355,7 @@ def _cross_matrix(centre: tuple[float, float, float]) -> FloatArray:
 
 
 def _names(channels: BoolArray) -> str:
-    return ", ".join(name for name, is_meant in zip(CHANNELS, channels, strict=True) if is_meant)
+    return ", ".join(CHANNELS[index] for index in np.flatnonzero(channels))
 
 
 def _millimetres(centre: tuple[float, float, float]) -> str:

@@ -16,10 +16,18 @@ static const Field MOVED_FIELDS[] = {MOVED(IN_MOVED)};
 
 PyObject *matmul;
 
-/* Return the sums of equation 3, one for each cell: numpy's product, whose order is the machine's. */
+/* Return the sums of equation 3, one for each cell: numpy's product, whose order is the machine's. Where no cell feels
+   an edge nobody asks for them, and they are zero. */
 static const double *increments(Call *call, const LockConstants *constants, const Felt *felt)
 {
     npy_intp three = 3;
+    int edge = 0;
+    for (npy_intp cell = 0; cell < call->n; cell++)
+        edge |= felt[cell].edge;
+    if (!edge) {
+        double *zeros = scratch(call, call->n, sizeof *zeros);
+        return zeros == NULL ? NULL : memset(zeros, 0, (size_t)call->n * sizeof *zeros);
+    }
     PyObject *summands = hold(call, make(call, NUMBER, 1, &three));
     PyObject *beta1 = hold(call, PyArray_SimpleNew(1, &three, NPY_DOUBLE));
     if (summands == NULL || beta1 == NULL)

@@ -6,10 +6,12 @@ Felt lock_feel(const LockConstants *constants, const LockState *state, const dou
 {
     Felt felt;
     const double moved = state->fresh[0] ? 0.0 : 1.0;
+    felt.edge = 0;
     for (int k = 0; k < 6; k++) {
         double ratio = w[k] / constants->clip[k];
         felt.n[k] = clip(ratio, -1.0, 1.0);
         felt.delta_n[k] = (felt.n[k] - state->previous_n[k]) * moved;
+        felt.edge |= fabs(felt.delta_n[k]) > constants->delta_f[k];
         felt.saturated[k] = fabs(ratio) >= 1.0;
     }
     for (int k = 0; k < 3; k++)
@@ -56,12 +58,9 @@ static Height paper(
 {
     Height height;
     const int locked = !search->under_way;
-    int edge = 0;
-    for (int k = 0; k < 6; k++)
-        edge |= fabs(felt->delta_n[k]) > constants->delta_f[k];
     const double raised = maximum(increment, 0.0), drift = constants->beta2[0] * length3(felt->delta_p);
     const double highest = search->z_contact0 + constants->lift_max_m[0];
-    const double lock = maximum(minimum(z + (edge ? raised : drift), highest), z_floor);
+    const double lock = maximum(minimum(z + (felt->edge ? raised : drift), highest), z_floor);
     height.asked = locked ? z + dz : search->command;
     const double command = locked ? maximum(height.asked, lock - constants->press_m[0]) : height.asked;
     const int lost = locked && felt->n[2] < constants->release_threshold[0];
@@ -70,7 +69,7 @@ static Height paper(
     height.next_lock = lost ? NAN : height.lock;
     height.phase = locked ? LOCKED : SEEK;
     height.next_phase = lost ? SEEK : height.phase;
-    height.edge = edge && locked;
+    height.edge = felt->edge && locked;
     return height;
 }
 

@@ -58,10 +58,10 @@ typedef struct {
 enum { PAPER, SLIDING, OFF }; /* `LockMode` */
 enum { SEEK = 0, LOCKED = 1, FREE = 3 }; /* `Phase` */
 
-/* `_Felt` */
+/* `_Felt`, and "if Δn > δf" of Algorithm 1 */
 typedef struct {
     double n[6], delta_n[6], delta_p[3];
-    int contact;
+    int contact, edge;
     unsigned char saturated[6];
 } Felt;
 

@@ -157,12 +157,23 @@ def test_a_broken_channel_is_named_at_the_first_attitude() -> None:
 
 
 @pytest.mark.parametrize("channel", range(6))
-def test_any_channel_that_is_not_a_number_is_at_the_end_of_its_range(channel: int) -> None:
-    def broken(load: np.ndarray) -> np.ndarray:
-        return np.where(np.arange(6) == channel, np.nan, load)
-
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_any_channel_that_is_not_a_number_is_at_the_end_of_its_range(channel: int, value: float) -> None:
+    window = np.random.default_rng(0).normal(size=(10, 6))
+    window[3, channel] = value
+    taken = Rest.of(SCALE, window, DOWN, 0.93)
+    assert np.flatnonzero(taken.saturated).tolist() == [channel]
+    assert taken.wrench[channel] == 0.0
     name = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")[channel]
-    assert only(weighed(broken)).startswith(f"{name} at the end")
+    assert only(Weighing(SCALE, (taken,))).startswith(f"{name} at the end")
+
+
+def test_a_channel_that_is_not_a_number_does_not_hide_what_is_wrong_with_the_others() -> None:
+    def broken(load: np.ndarray) -> np.ndarray:
+        return np.array([np.nan, load[1], -load[2], *load[3:]])
+
+    found = [sentence.partition(":")[0] for sentence in weighed(broken).findings]
+    assert found == ["Fx at the end of the sensor's range", "Fz with the wrong sign"]
 
 
 @pytest.mark.parametrize(("channel", "end"), [(0, 30.0), (2, 30.0), (3, 10.0), (5, 10.0)])
@@ -246,6 +257,16 @@ def test_a_sensor_that_is_turned_against_the_flange_is_named(axis: tuple[float, 
     assert all("0.8" in sentence and ("0.5" in sentence or "0.4" in sentence) for sentence in found)
 
 
+@pytest.mark.parametrize(
+    ("degrees", "gain", "is_turned"), [(10, 2.0, False), (20, 2.0, True), (10, 0.5, False), (20, 0.5, True)]
+)
+def test_a_turn_is_judged_whatever_the_gain(degrees: float, gain: float, is_turned: bool) -> None:
+    sensor = turned(degrees, 0.0, 0.0, 1.0)
+    found = weighed(lambda load: gain * sensor(load)).findings
+    assert any("the sensor is turned" in sentence for sentence in found) is is_turned
+    assert any("gain" in sentence for sentence in found)
+
+
 def test_a_touch_at_one_attitude_of_many_is_named_by_its_number() -> None:
     downs = (DOWN, X, Y, BACK, -Y, DOWN, X, Y, BACK, -Y)
     rests = [rest(down) for down in downs]
@@ -270,6 +291,18 @@ def test_a_centre_that_is_configured_wrongly_is_found_by_the_torques() -> None:
     assert "lies at [" in found
     assert "40, 5" in found
     assert "[0, 0, 58] mm is configured" in found
+
+
+def test_a_centre_far_off_is_found_by_the_torques_and_not_by_the_forces() -> None:
+    assert only(weighed(carried=Payload(0.93, (0.0, 0.3, 0.0585)))).startswith("by the torques the payload's centre")
+
+
+def test_a_small_error_of_every_torque_does_not_hide_a_wrong_centre() -> None:
+    def inexact(load: np.ndarray) -> np.ndarray:
+        return load + np.concatenate((np.zeros(3), 0.015 * load[:3]))
+
+    found = only(weighed(inexact, carried=Payload(0.93, (0.0, 0.04, 0.0585))))
+    assert found.startswith("by the torques the payload's centre")
 
 
 def test_torques_that_are_all_turned_over_look_like_a_centre_on_the_other_side() -> None:
@@ -310,12 +343,20 @@ def test_the_limits_are_shares_of_the_sensor_s_range() -> None:
     assert (SCALE.limit_n, SCALE.limit_nm, SCALE.needed_n) == pytest.approx((2.0, 0.2, 4.0))
 
 
-def test_the_attitudes_that_are_proposed_prove_every_axis_and_no_tool_points_upwards() -> None:
+def test_the_attitudes_that_are_proposed_prove_every_axis() -> None:
     downs, proposed = (DOWN,), []
     while not (weighing := weighed(downs=downs)).complete:
         proposed.append(weighing.next_axis())
         downs = (*downs, np.array(POINTING[proposed[-1]]))
-    assert proposed == ["x", "-x", "y"]
+    assert proposed == ["x", "y", "-x"]
+
+
+def test_a_tool_that_points_upwards_is_proposed_last() -> None:
+    downs = (DOWN, X, Y, BACK)
+    assert weighed(downs=downs).next_axis() == "-y"
+    assert weighed(downs=(*downs, -Y)).next_axis() == "-z"
+    nearly = np.array([0.0, -np.cos(0.36), np.sin(0.36)])
+    assert weighed(downs=(*downs, nearly)).next_axis() == "-y", "more than 20° away"
     assert weighed(downs=(X,)).next_axis() == "-x"
 
 
@@ -326,4 +367,5 @@ def test_an_attitude_is_as_far_as_the_nearest_one_taken() -> None:
     assert weighing.turned_rad(np.array([np.cos(0.3), np.sin(0.3), 0.0])) == pytest.approx(0.3)
     assert weighing.turned_rad(Y) == pytest.approx(np.pi / 2)
     assert weighing.turned_rad(1.001 * DOWN) == 0.0, "rounding"
+    assert weighed(downs=(DOWN,)).turned_rad(-1.001 * DOWN) == pytest.approx(np.pi)
     assert pytest.approx(np.deg2rad(20.0)) == MIN_TURN_RAD

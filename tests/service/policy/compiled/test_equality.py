@@ -149,6 +149,8 @@ def test_names_and_order_are_those_of_the_specification() -> None:
     assert list(step.LOCK_STATE) == named(DslState, "z_floor")
     assert list(step.LOCK_OUTPUT) == named(DslOutput)
     assert list(step.BOUNDED) == named(BoundedCommand)
+    clips = {"force_clip_n", "torque_clip_nm"}
+    assert set(step.LOCK_CONSTANTS) == {"clip", *named(DslParameters)} - clips
     assert list(step.BOUNDS_CONSTANTS) == named(BoundsParameters)
     assert {name: spec.size for name, spec in observation.ENTRIES.items()} == step.ENTRIES
     assert MODES == ("paper", "sliding", "off"), "lock.h counts them in this order"
