@@ -1,30 +1,34 @@
-"""The one part of the package that is built: the compiled tick, left out where there is no C compiler.
+"""The parts of the package that are built: the compiled tick and the compiled step, left out without a C compiler.
 
 Everything else about the package is in `pyproject.toml`.
 """
 
 import runpy
 from glob import glob
+from pathlib import Path
 
 import numpy
 from setuptools import Extension, setup
 
-FOLDER = "sim_backend/world/compiled"
-SOURCES = runpy.run_path(f"{FOLDER}/sources.py")["digest"]()
+DIGEST = runpy.run_path("wire/extension.py")["digest"]
+
+
+def extension(folder: str, name: str) -> Extension:
+    """Return the extension of the C files of a folder."""
+    return Extension(
+        f"{folder.replace('/', '.')}.{name}",
+        sorted(glob(f"{folder}/*.c")),
+        depends=sorted(glob(f"{folder}/*.h")),
+        include_dirs=[numpy.get_include()],
+        define_macros=[("Py_LIMITED_API", "0x030B0000"), ("SOURCES", f'"{DIGEST(Path(folder))}"')],
+        # as numpy's: one rounding for each operation
+        extra_compile_args=["-std=c99", "-O2", "-ffp-contract=off"],
+        py_limited_api=True,
+        optional=True,
+    )
+
 
 setup(
-    ext_modules=[
-        Extension(
-            "sim_backend.world.compiled._tick",
-            sorted(glob(f"{FOLDER}/*.c")),
-            depends=sorted(glob(f"{FOLDER}/*.h")),
-            include_dirs=[numpy.get_include()],
-            define_macros=[("Py_LIMITED_API", "0x030B0000"), ("SOURCES", f'"{SOURCES}"')],
-            # as numpy's: one rounding for each operation
-            extra_compile_args=["-std=c99", "-O2", "-ffp-contract=off"],
-            py_limited_api=True,
-            optional=True,
-        )
-    ],
+    ext_modules=[extension("sim_backend/world/compiled", "_tick"), extension("service/policy/compiled", "_step")],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

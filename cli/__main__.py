@@ -64,10 +64,12 @@ app = typer.Typer(cls=Commands, add_completion=False, no_args_is_help=True, pret
 def _print_version(wanted: bool) -> None:
     if wanted:
         from api.version import installed_version
-        from sim_backend.world import compiled
+        from service.policy import compiled as compiled_step
+        from sim_backend.world import compiled as compiled_tick
 
         typer.echo(f"{PROGRAM} {installed_version()}")
-        typer.echo(compiled.describe())
+        typer.echo(compiled_step.describe())
+        typer.echo(compiled_tick.describe())
         raise typer.Exit
 
 

@@ -49,8 +49,11 @@ class Rule:
 
 
 EXPLAINED = (
-    Rule("a text for people", r"→.*XX"),
+    Rule("a text for people", r"→.*XX|_newtons\(|→ text=None,$"),
     Rule("the value, limit and text of a verdict are for people; its code decides", r"Verdict\(|^[^=]*→ None,$|→ \)?$"),
+    Rule("the same verdict with other numbers or another text for people", r"^(FaultCode\.\w+), .*→ \1, "),
+    Rule("all rows are alike whichever they are compared with", r"window == window\[1\]"),
+    Rule("a corner has three numbers, as its type says", r"strict=|workspace_upper, \)"),
     Rule("a unit in a text", r"\* 1001\.0"),
     Rule("a sum is finite only where every term is, whatever the signs", r"isfinite\(f[xyz]"),
     Rule("the default of an empty sequence, which no caller passes", r"default="),
@@ -71,9 +74,17 @@ EXPLAINED = (
     ),
     Rule(
         "a measured length or force that meets its limit to the last bit may fall on either side",
-        r"→ .*(>= parameters\.width_m|> parameters\.held_n|< RETURNED_M|<= max\(self\._parameters\.lead_m)",
+        r"→ .*(>= parameters\.width_m|> (parameters\.held_n|self\._parameters\.proven_m)|< (RETURNED_M|end_m)|"
+        r"<= max\(self\._parameters\.lead_m)",
         "Probe",
     ),
+    Rule(
+        "a measured gain, angle, force or torque that meets its limit to the last bit may fall on either side",
+        r"→ .*(<= MIN_GAIN|>= \(MAX_CROSSTALK|<= 0\.0\]|MAX_GAIN <(=?) sizes\[row\] <(=?) MAX_GAIN|< MAX_GAIN \* min|"
+        r"< self\.scale\.limit_n|(off|unlike) (<|>=) limit_nm|> MIN_TURN_RAD else)",
+        "Weighing",
+    ),
+    Rule("all are equal if they are equal to any of them", r"window == window\[1\]"),
     Rule("a stop is repeated in every period, whatever its phase", r"STOP_AGAIN_TICKS == 1"),
     Rule(
         "at the boundary both branches give the same number",

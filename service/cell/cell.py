@@ -107,6 +107,7 @@ class Cell:
         self._overload: Verdict | None = None
         self._link_text = "not connected yet"
         self._status_seq = 0
+        self._untold = 0
         self._client_heard_at = 0.0
 
     @property
@@ -183,7 +184,10 @@ class Cell:
         else:
             self._halting.repeat_stop(sample)  # no run drives the arm
             self._mind_idle_arm(sample)
-        if self._intake.accepted % TELEMETRY_TICKS == 0:
+        self._untold += 1
+        # On a sample that has asked the policy, the answer comes first
+        if self._untold >= TELEMETRY_TICKS and not self.runs.asks_at(sample):
+            self._untold = 0
             self._send_telemetry(sample)
 
     def _take_while_preparing(self, sample: Sample) -> None:

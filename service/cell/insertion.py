@@ -3,9 +3,9 @@
 Every sample that the monitor has passed goes in; orders come out, in the order in which they must be carried out.
 """
 
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -15,14 +15,15 @@ from service.cell.arm_stops import why_not_drive
 from service.cell.orders import Disengage, Engage, Fail, Halt, Infer, Move, Order, Succeed, ZeroFt
 from service.cell.path import Progress, StraightPath, within_step
 from service.cell.plan import PATH_TICKS, PROBE_SAMPLES, Plan
+from service.cell.recent import Recent
 from service.cell.rest import Rest
 from service.cell.stages import DRIVEN, Stage
 from service.cell.tick_record import TickRecord
 from service.drivers.base import PoseTarget, Program, Sample
 from service.faults import FaultCode
+from service.policy.compiled import rotvec_from_yaw, yaw_and_tilt
 from service.policy.step import Seen
 from service.safety import dsl, preflight
-from service.safety.pose import rotvec_from_yaw, yaw_and_tilt
 from service.safety.probe import Answer, Probe
 from service.safety.seating import Finding, Seat, Seating
 from service.safety.stop import STANDSTILL_M_S
@@ -43,6 +44,7 @@ OUTRAGEOUS_ACTION = 10.0
 """Multiple of an action's limit that counts towards `clamped_steps`; trained policies stay within a few times."""
 OUTRAGEOUS_CHANGE = 3.0
 """Multiple of the allowed change of target that counts as well."""
+NO_ESTIMATE = np.full(3, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +80,7 @@ class Insertion:
         self._stage_seq = -1
         self._ended = False
         self._zeroings = 0
-        self._window: deque[FloatArray] = deque(maxlen=max(plan.step.ticks, plan.preflight.window_samples))
+        self._window = Recent(max(plan.step.ticks, plan.preflight.window_samples))
         self._rest = Rest(plan)
         self.witness: Witness | None = None
         self._estimates: list[FloatArray] = []
@@ -116,6 +118,10 @@ class Insertion:
         """Height of the lock at the last policy step; None without a lock."""
         lock = None if self.last is None else float(self.last.dsl.z_lock)
         return lock if lock is not None and np.isfinite(lock) else None
+
+    def asks_at(self, sample: Sample) -> bool:
+        """Return whether the policy was asked at this sample and has not answered."""
+        return self._asked is not None and self._asked.sample is sample
 
     def duration_s(self, now_s: float) -> float:
         """Return the time since the first approach move, on the samples' clock."""
@@ -202,7 +208,7 @@ class Insertion:
         if len(self._window) < self._plan.preflight.window_samples:
             return
         plan = self._plan
-        verdict = preflight.check_wrench(plan.preflight, np.array(self._window))
+        verdict = preflight.check_wrench(plan.preflight, self._window.newest(len(self._window)))
         if verdict.fault is FaultCode.BIAS and self._zeroings < ZEROING_TRIES:
             yield from self._zero(sample)
             return
@@ -280,7 +286,7 @@ class Insertion:
         if self._doubt is None or (sample.seq - self._stage_seq) % PATH_TICKS:
             return
         seat, probe = self._doubt
-        force = np.array(self._window)[-PROBE_SAMPLES:, :3].mean(0)
+        force = self._window.newest(PROBE_SAMPLES)[:, :3].mean(0)
         if (answer := probe.advance(sample.tcp_position, force)) is Answer.HELD:
             yield from self._succeed(seat.depth_m, sample)
         elif answer is Answer.UNDER_WAY:
@@ -305,7 +311,7 @@ class Insertion:
             return
         seen = self._see(sample)
         self._state, observation = plan.step.observe(self._state, seen)
-        if not np.isfinite(observation).all():
+        if not isfinite(sum(observation.tolist())):  # in double precision single ones cannot overflow
             yield self._halt(FaultCode.SENSOR_INVALID, "an observation of the policy is not known: check the camera")
             return
         self._asked = Asked(sample, seen, observation)
@@ -317,8 +323,8 @@ class Insertion:
             position=sample.tcp_position,
             yaw=yaw,
             tilt=tilt,
-            wrench_window=np.array(self._window)[-self._plan.step.ticks :],
-            hole_estimate=np.full(3, np.nan) if sample.hole_estimate is None else sample.hole_estimate,
+            wrench_window=self._window.newest(self._plan.step.ticks),
+            hole_estimate=NO_ESTIMATE if sample.hole_estimate is None else sample.hole_estimate,
             nominal_hole=self._plan.nominal_hole,
             start_yaw=np.asarray(self._plan.start_yaw),
             last_joint=np.asarray(sample.q[5]),
@@ -326,13 +332,14 @@ class Insertion:
 
     def _act(self, asked: Asked, action: FloatArray) -> Iterator[Order]:
         plan, sample = self._plan, asked.sample
-        if not np.isfinite(action).all():
-            yield self._halt(FaultCode.POLICY_INVALID, f"the policy answered {action.tolist()}; nothing was sent")
+        values: list[float] = action.tolist()
+        if not all(map(isfinite, values)):
+            yield self._halt(FaultCode.POLICY_INVALID, f"the policy answered {values}; nothing was sent")
             return
         self._state, decision = plan.step.act(self._state, asked.seen, action)
         bounded = decision.bounded
         if bool(bounded.invalid):
-            text = f"the action {action.tolist()} leads to no pose; nothing was sent"
+            text = f"the action {values} leads to no pose; nothing was sent"
             yield self._halt(FaultCode.POLICY_INVALID, text)
             return
         order = self._move(bounded.position, float(bounded.yaw))
@@ -354,7 +361,7 @@ class Insertion:
             text = f"the tool is tilted by {lean:.3f} rad, limit {plan.step.bounds.tilt_rad:g} rad; nothing was sent"
             yield self._halt(FaultCode.BOUNDS, text)
             return
-        excess, change = float(plan.step.actions.excess(action)), float(bounded.excess)
+        excess, change = max(map(abs, values)), float(bounded.excess)
         outrageous = excess > OUTRAGEOUS_ACTION or change > OUTRAGEOUS_CHANGE
         self._outrageous = self._outrageous + 1 if outrageous else 0
         if self._outrageous >= plan.clamped_steps:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.config import CellConfig, LimitsSection, RecipeSection
+from service.policy.compiled.policy_step import policy_step
 from service.policy.contract import PolicyContract
 from service.policy.step import PolicyStep, command_bounds
 from service.safety.dsl import DslOutput
@@ -106,7 +107,8 @@ class Plan:
             estimate: (3,) m, base frame, from the camera.
         """
         offset = estimate - self.nominal_hole
-        if (np.abs(offset) <= self.max_hole_offset).all():
+        # Plain floats: each call of numpy costs more than the three comparisons
+        if all(abs(off) <= most for off, most in zip(offset.tolist(), self.max_hole_offset.tolist(), strict=True)):
             return None
         way = f"{np.round(offset * 1e3, 1).tolist()} mm from the recipe's hole"
         return f"the camera sees the hole {way}, limit {(self.max_hole_offset * 1e3).tolist()} mm"
@@ -146,7 +148,7 @@ def plan_insertion(config: CellConfig, recipe: RecipeSection, contract: PolicyCo
         limits=control,
         preflight=PreflightParameters(**config.preflight.model_dump()),
         witness=WitnessParameters(**config.witness.model_dump()),
-        step=PolicyStep(contract, bounds),
+        step=policy_step(contract, bounds),
         seating=SeatingParameters(
             success_depth_m=recipe.success_depth_m,
             clearance_m=recipe.clearance_m,

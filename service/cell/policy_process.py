@@ -18,7 +18,7 @@ import numpy as np
 from service.cell.inference import Inference, OnAction, OnFailure, PolicyOpener
 from service.policy.contract import ContractError, PolicyContract
 from service.policy.model import PolicyError, PolicyFault
-from service.policy.worker import HEAD, PAYLOAD_LIMIT_BYTES, BrokenFrameError, Kind, decode, encode
+from service.policy.worker import HEAD, RECEIVED_AT_ONCE_BYTES, BrokenFrameError, Kind, decode, encode
 from wire.arrays import Float32Array
 
 LOAD_S = 20.0
@@ -147,7 +147,7 @@ class PolicyProcess:
         while (frame := decode(received)) is None:
             self.socket.settimeout(max(1e-3, deadline - time.monotonic()))
             try:
-                data = self.socket.recv(PAYLOAD_LIMIT_BYTES)
+                data = self.socket.recv(RECEIVED_AT_ONCE_BYTES)
             except TimeoutError:
                 text = f"{self.source} was not loaded and tried within {LOAD_S:g} s; its process was killed"
                 raise PolicyError(PolicyFault.TOO_SLOW, text) from None
@@ -226,7 +226,7 @@ class WorkerInference:
 
     def _read(self) -> None:
         try:
-            data = self._worker.socket.recv(PAYLOAD_LIMIT_BYTES)
+            data = self._worker.socket.recv(RECEIVED_AT_ONCE_BYTES)
         except BlockingIOError:
             return
         except OSError:

@@ -91,7 +91,11 @@ def _quiet(cell: Cell, watchdog: Watchdog) -> None:
 
 
 async def run(
-    config: CellConfig, driver: Driver, brake: Sequence[str] = (), world_listens: Callable[[], bool] = lambda: True
+    config: CellConfig,
+    driver: Driver,
+    brake: Sequence[str] = (),
+    world_listens: Callable[[], bool] = lambda: True,
+    degradations: Sequence[str] = (),
 ) -> None:
     """Run until SIGTERM or SIGINT; stop the arm before returning. The caller holds the lock of `alone`.
 
@@ -103,6 +107,7 @@ async def run(
         brake: arguments of the watchdog's brake, which stops the arm in real time where the loop does not turn; without
             them there is no watchdog.
         world_listens: whether the driver may connect; raises `OSError` where a simulator will never listen.
+        degradations: what this cell lacks, for its status.
 
     Raises:
         OSError: the endpoint or the state directory cannot be used, or `world_listens` raises it.
@@ -112,11 +117,12 @@ async def run(
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     cell = Cell(config, driver, time_of_day=time.time)
+    cell.degradations = degradations
     if driver.mode == "real_time":
         settle_interpreter()  # collecting takes tens of milliseconds, which must not pass at real-time priority
         if config.asks_realtime:
             # Before Zenoh starts its threads: the loop would have to wait for a thread of ordinary priority
-            cell.degradations = request_realtime()
+            cell.degradations = (*degradations, *request_realtime())
     for line in cell.degradations:
         _log.warning("degraded", what=line)
     try:

@@ -191,6 +191,11 @@ class Runs:
         insertion = None if self.active is None else self.active.insertion
         return None if insertion is None else insertion.witness
 
+    def asks_at(self, sample: Sample) -> bool:
+        """Return whether the policy's answer to this sample is awaited."""
+        insertion = None if self.active is None else self.active.insertion
+        return insertion is not None and insertion.asks_at(sample)
+
     @property
     def active_id(self) -> str | None:
         return None if self.active is None else self.active.accepted.id

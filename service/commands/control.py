@@ -69,13 +69,14 @@ def _run(cell: CellConfig, world: Simulator) -> None:
 
     from service.cell import process
     from service.commands.drivers import brake_of, make_driver
+    from service.drivers.ur import weighed
 
     driver = make_driver(cell)
 
     async def run() -> None:
         watch = asyncio.create_task(world.watch(), name="simulator")
         try:
-            await process.run(cell, driver, brake_of(cell), world.listens)
+            await process.run(cell, driver, brake_of(cell), world.listens, weighed.remarks(cell))
         finally:
             watch.cancel()
 

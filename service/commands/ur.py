@@ -1,8 +1,9 @@
-"""`ur …`: the operator's commands for a Universal Robots arm: the start-up gate, power, the release from a protective
-stop, and the gripper.
+"""`ur …`: the operator's commands for a Universal Robots arm: the start-up gate, the weighing of the payload, power,
+the release from a protective stop, and the gripper.
 """
 
 import asyncio
+import json
 from collections.abc import Callable, Coroutine
 from enum import StrEnum
 from typing import Annotated, Any, TypeVar
@@ -13,11 +14,13 @@ from rich.table import Table
 
 from service.commands.configured import ConfigPath, load_cell, ur_section
 from service.commands.drivers import make_driver
+from service.commands.weighing import document, outcome, payload_line, tables, weigh
 from service.drivers.base import DriverError, Load, Sample
-from service.drivers.ur import gate, recovery
+from service.drivers.ur import gate, recovery, weighed
 from service.drivers.ur.dashboard import DashboardError
 from service.drivers.ur.driver import UrDriver
 from service.drivers.ur.gripper import Gripper, GripperError, GripperStatus
+from service.drivers.ur.weighing import scale_of
 from service.faults import FaultCode
 from wire.exits import Exit
 
@@ -46,6 +49,42 @@ def check(config: ConfigPath = None) -> None:
         typer.echo(failure, err=True)
     if failure is not None or any(line.verdict is not gate.Verdict.PASSED for line in driver.checks):
         raise typer.Exit(Exit.FAILED)
+
+
+@app.command("weigh")
+def weigh_payload(
+    config: ConfigPath = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Prove signs, gains and axes of the force/torque sensor by the payload's weight at four attitudes or more.
+
+    The operator moves the arm with the pendant; the command reads and does nothing else. It ends when every axis is
+    proven: 0 if the sensor shows the configured payload, 1 with a sentence for each thing that is wrong.
+    """
+    cell = load_cell(config)
+    ur = ur_section(cell)
+    scale = scale_of(ur)
+    if scale.is_too_light:
+        typer.echo(
+            f"the configured payload of {ur.payload_kg:g} kg weighs {scale.payload.weight_n:.1f} N, too little beside "
+            f"an error of the sensor of {scale.limit_n:g} N: grip a heavier thing, and configure its mass and centre "
+            "for the weighing",
+            err=True,
+        )
+        raise typer.Exit(Exit.USAGE)
+    weighing = _do(lambda: weigh(ur, lambda line: typer.echo(line, err=True)))
+    if as_json:
+        typer.echo(json.dumps(document(weighing), indent=2))
+    else:
+        console = Console(soft_wrap=True)
+        for table in tables(weighing):
+            console.print(table)
+        typer.echo(payload_line(weighing))
+        for line in outcome(weighing):
+            typer.echo(line)
+    if not weighing.passed:
+        raise typer.Exit(Exit.FAILED)
+    _do(lambda: asyncio.to_thread(weighed.remember, cell))
 
 
 @app.command()
@@ -135,6 +174,6 @@ def _do(errand: Callable[[], Coroutine[Any, Any, T]]) -> T:
     """Run an operator's errand; print the error and end the command where it fails."""
     try:
         return asyncio.run(errand())
-    except (DashboardError, GripperError, OSError) as error:
+    except (DashboardError, DriverError, GripperError, OSError) as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(Exit.FAILED) from error

@@ -68,9 +68,11 @@ class ActionMap:
         out[..., self._columns] = np.clip(action, -1.0, 1.0)
         return out
 
-    def excess(self, action: npt.ArrayLike) -> FloatArray:
-        """Return the largest |component| (...) of an action.
-
-        Above 1 the action was cut; a run counts consecutive large values.
-        """
-        return np.abs(np.asarray(action, np.float64)).max(-1)
+    def constants(self) -> dict[str, npt.ArrayLike]:
+        """Return the map's constants, as the compiled step takes them."""
+        return {
+            "column": self._columns,
+            "limit": self._limits,
+            "squared": self._squared,
+            "in_tool_frame": self._in_tool_frame,
+        }

@@ -248,7 +248,11 @@ class ObservedEntry(Protocol):
 
 
 class ObservationBuilder:
-    """Builds observations for one contract. `ObservationState` holds the memory between steps."""
+    """Builds observations for one contract. `ObservationState` holds the memory between steps.
+
+    Attributes:
+        columns: (size,) place of each number of an observation in the flattened frames.
+    """
 
     def __init__(
         self,
@@ -288,12 +292,12 @@ class ObservationBuilder:
             for row in range(self._depth - entry.history, self._depth):
                 columns += range(row * self._width + first, row * self._width + first + spec.size)
             first += spec.size
-        self._columns = np.array(columns)
+        self.columns = np.array(columns)
 
     @property
     def size(self) -> int:
         """Length of an observation."""
-        return len(self._columns)
+        return len(self.columns)
 
     def begin(self, shape: tuple[int, ...] = ()) -> ObservationState:
         """Return the memory before the first observation of an episode."""
@@ -340,7 +344,7 @@ class ObservationBuilder:
         newest = frame[..., None, :]
         frames = np.where(first, newest, np.concatenate((state.frames[..., 1:, :], newest), axis=-2))
         steps = state.steps + 1
-        observation = frames.reshape(*frames.shape[:-2], -1)[..., self._columns]
+        observation = frames.reshape(*frames.shape[:-2], -1)[..., self.columns]
         if mask is not None:
             takes = np.asarray(mask, np.bool_)
             frames = np.where(takes[..., None, None], frames, state.frames)

@@ -105,6 +105,7 @@ class PolicyStep:
         lock: constants of the depth lock.
         bounds: bounds on every command.
         actions: map from the policy's output to a displacement.
+        builder: builder of observations.
         observation_size: length of an observation.
     """
 
@@ -113,9 +114,9 @@ class PolicyStep:
         self.lock = contract.dsl
         self.bounds = limits
         self.actions = contract.action_map()
-        self._builder = contract.observation_builder()
+        self.builder = contract.observation_builder()
         self._lock_samples = contract.wrench_window_ticks
-        self.observation_size = self._builder.size
+        self.observation_size = self.builder.size
 
     def begin(self, target_position: npt.ArrayLike, target_yaw: npt.ArrayLike) -> StepState:
         """Return the state before the first step.
@@ -128,7 +129,7 @@ class PolicyStep:
         shape = position.shape[:-1]
         return StepState(
             lock=dsl.DslState.begin(shape, self.bounds.workspace_lower[2]),
-            memory=self._builder.begin(shape),
+            memory=self.builder.begin(shape),
             target_position=position,
             target_yaw=yaw,
             previous_action=np.zeros((*shape, 4)),
@@ -162,7 +163,7 @@ class PolicyStep:
             previous_action=state.previous_action,
             last_joint=seen.last_joint,
         )
-        memory, observation = self._builder.build(state.memory, measurement, mask)
+        memory, observation = self.builder.build(state.memory, measurement, mask)
         return (
             StepState(state.lock, memory, state.target_position, state.target_yaw, state.previous_action),
             observation,

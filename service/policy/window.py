@@ -37,5 +37,6 @@ def summarise(wrench_window: npt.ArrayLike, samples: int | None = None) -> Wrenc
         window = window[-samples:]
     mean = window.mean(0)
     fz = window[..., 2]
-    spread = fz - mean[..., 2]
-    return WrenchSummary(mean, fz.min(0), fz.max(0), np.sqrt((spread * spread).mean(0)))
+    # Of three channels: numpy adds a single one in another order for one cell than for many
+    spread = window[..., :3] - mean[..., :3]
+    return WrenchSummary(mean, fz.min(0), fz.max(0), np.sqrt((spread * spread).mean(0)[..., 2]))

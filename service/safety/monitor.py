@@ -99,6 +99,9 @@ class Repeats:
         Returns:
             What is stuck, since how many samples, and their limit; None if nothing is.
         """
+        if not any(map(float.__eq__, channels, self._last)):  # as nearly always; every limit is 2 or more
+            self._last, self._since = channels, [1] * 6
+            return None
         since = self._since = [
             count + 1 if now == before else 1
             for count, now, before in zip(self._since, channels, self._last, strict=True)

@@ -38,7 +38,8 @@ def yaw_and_tilt(rotvec: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     angle = np.sqrt(squared)
     # Rodrigues: R = I + s [v]x + c (v vT - |v|² I), s = sin(a)/a, c = (1 - cos a)/a², both finite at a = 0
     s = np.sinc(angle / np.pi)
-    c = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    half = np.sinc(angle / (2 * np.pi))
+    c = 0.5 * (half * half)
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     yaw = np.arctan2(s * z + c * x * y, 1 - c * (y * y + z * z))
     tool_x, tool_y = s * y + c * x * z, -s * x + c * y * z

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from service.policy.compiled import rotvec_from_yaw, yaw_and_tilt
+from service.policy.compiled.policy_step import policy_step
 from service.policy.contract import PolicyContract
-from service.policy.step import PolicyStep, Seen, command_bounds
-from service.safety.pose import rotate, rotvec_from_yaw, wrap, yaw_and_tilt
+from service.policy.step import Seen, command_bounds
+from service.safety.pose import rotate, wrap
 from sim_backend.world import quaternion
 from sim_backend.world.scene import NOMINAL_HOLE_M
 from sim_backend.world.world import START_YAW_RAD, World
@@ -116,7 +118,7 @@ class Insertions:
         law = contract.compliance
         self._law = np.array(law.stiffness), np.array(law.damping), np.array(law.inertia)
         limits = command_bounds(self._limits, contract.period_s, START_YAW_RAD, tilt_rad=TILT_RAD)
-        self._policy_step = PolicyStep(contract, limits)
+        self._policy_step = policy_step(contract, limits)
         self._state = self._policy_step.begin(np.zeros((n, 3)), np.zeros(n))
         self._window = np.zeros((contract.ticks_per_step, n, 6))
         self._potential = np.zeros(n)

@@ -138,15 +138,29 @@ async def measure_arm(link: UrLink, ur: UrSection) -> Facts:
     Raises:
         DriverError: LINK, the dashboard does not answer or no data arrive.
     """
-    if link.version >= END_VERSION:  # PolyScope X has no dashboard server
-        return Facts(version=link.version)
+    facts = await ask_dashboard(link.version, ur)
+    return replace(facts, package=link.newest) if link.version < END_VERSION else facts
+
+
+async def ask_dashboard(version: tuple[int, int, int], ur: UrSection) -> Facts:
+    """Ask the dashboard which robot it is and who controls it; PolyScope X has no dashboard server and is not asked.
+
+    Args:
+        version: version of PolyScope.
+        ur: section of the configuration.
+
+    Raises:
+        DriverError: LINK, the dashboard does not answer.
+    """
+    if version >= END_VERSION:
+        return Facts(version=version)
     try:
         async with dashboard(ur) as client:
             model, serial = await client.robot_model(), await client.serial_number()
             remote = await client.is_in_remote_control()
     except DashboardError as error:
         raise DriverError(FaultCode.LINK, str(error)) from error
-    return Facts(version=link.version, model=model, serial=serial, remote_control=remote, package=link.newest)
+    return Facts(version=version, model=model, serial=serial, remote_control=remote)
 
 
 async def measure(

@@ -37,7 +37,7 @@ STOPPED_S = 1.0
 PATIENCE_S = 10.0
 """Host time after which a controller whose own time does not pass is given up, s."""
 
-_CODES = {
+LINK_FAULTS = {
     RtdeErrorReason.IN_USE: FaultCode.AUTHORITY,
     RtdeErrorReason.NOT_FOUND: FaultCode.PROTOCOL,
     RtdeErrorReason.UNREACHABLE: FaultCode.LINK,
@@ -45,6 +45,7 @@ _CODES = {
     RtdeErrorReason.CLOSED: FaultCode.LINK,
     RtdeErrorReason.REFUSED: FaultCode.LINK,
 }
+"""Faults of the cell for the reasons of a connection that failed; the others are PROTOCOL."""
 
 
 class UrLink:
@@ -134,7 +135,7 @@ class UrLink:
             await self._client.setup(OUTPUTS, RATE_HZ, [registers.INPUT_NAMES])
             await self._client.start()
         except RtdeError as error:
-            raise DriverError(_CODES.get(error.reason, FaultCode.PROTOCOL), str(error)) from error
+            raise DriverError(LINK_FAULTS.get(error.reason, FaultCode.PROTOCOL), str(error)) from error
         self.outbox.begin(self.newest.handled)
         if await self._is_alive() and self.newest.program == Program.ENGAGED:
             self.outbox.stop()  # nobody drives the arm that an earlier connection engaged
@@ -275,4 +276,4 @@ class UrLink:
     def _lose(self, error: RtdeError) -> None:
         self.package = None
         self._arrived.set()
-        self._on_lost(_CODES.get(error.reason, FaultCode.PROTOCOL), str(error))
+        self._on_lost(LINK_FAULTS.get(error.reason, FaultCode.PROTOCOL), str(error))

@@ -9,6 +9,7 @@ import numpy as np
 from service.config import UrSection
 from service.drivers.base import Sample
 from service.drivers.ur import registers
+from service.safety.weighing import Payload
 from wire import pose
 from wire.arrays import FloatArray
 from wire.records import TICK_S, Program, StopReason
@@ -17,7 +18,6 @@ from wire.rtde.modes import RuntimeState, SafetyMode
 
 ALIVE_S = 0.1
 """Time without a change of its counter after which a program does not run. Zeroing the sensor may take some steps."""
-GRAVITY_M_S2 = 9.81
 WINDOW_S = 0.5
 """Window over which the minimum delay is tracked, s; the minimum covers one to two windows."""
 
@@ -162,8 +162,7 @@ class SampleReader:
         lever: list[float] = (rotation.T @ np.array(ur.tcp_m[:3])).tolist()
         self._lever = lever if ur.torque_about == "flange" else [0.0, 0.0, 0.0]
         self._tcp_m = ur.tcp_m[:3]
-        self._weight_n = ur.payload_kg * GRAVITY_M_S2
-        self._com_m = ur.payload_com_m
+        self._payload = Payload(ur.payload_kg, ur.payload_com_m)
         self._ranges = (ur.force_range_n,) * 3 + (ur.torque_range_nm,) * 3
         self._time_s = 0.0
         self._epoch = 1
@@ -224,11 +223,10 @@ class SampleReader:
         A controller zeroes its sensor whenever a program starts and whenever the payload is set, in contact too. The
         raw reading does not change then, and depends neither on payload nor on TCP that the controller has at present.
         """
-        tool = pose.rotation_from_rotvec(np.array(package.tcp_pose[3:]))
-        flange = tool @ pose.rotation_from_rotvec(np.array(package.tcp_offset[3:])).T
-        weight = -self._weight_n * flange[2]
+        flange = flange_rotation(package)
+        weight, moment = self._payload.load(-flange[2])
         force = np.array(package.ft_raw[:3]) - weight
-        torque = np.array(package.ft_raw[3:]) - np.cross(self._com_m, weight) - np.cross(self._tcp_m, force)
+        torque = np.array(package.ft_raw[3:]) - moment - np.cross(self._tcp_m, force)
         return np.concatenate((flange @ force, flange @ torque))
 
     @staticmethod
@@ -238,6 +236,12 @@ class SampleReader:
         if not running:
             return Program.IDLE, StopReason.PROGRAM_ENDED
         return Program(package.program), StopReason(package.reason)
+
+
+def flange_rotation(package: Package) -> FloatArray:
+    """Return the rotation (3, 3) of the flange, base frame; the package's pose is that of the controller's TCP."""
+    tool = pose.rotation_from_rotvec(np.array(package.tcp_pose[3:]))
+    return tool @ pose.rotation_from_rotvec(np.array(package.tcp_offset[3:])).T
 
 
 def _turned(vector: Sequence[float], rotvec: Sequence[float]) -> tuple[float, float, float]:

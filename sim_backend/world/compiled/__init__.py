@@ -5,13 +5,13 @@ machine has a C compiler. `docs/explanation/decisions/0027-a-compiled-tick.md` h
 """
 
 from collections.abc import Mapping
-from importlib import import_module
+from pathlib import Path
 from typing import Any, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from sim_backend.world.compiled import sources
+from wire import extension
 from wire.arrays import BoolArray, FloatArray
 
 Arrays = tuple[npt.NDArray[Any], ...]
@@ -99,13 +99,8 @@ def constants(sizes: Mapping[str, int], found: Mapping[str, npt.ArrayLike]) -> F
 
 def load(name: str = f"{__name__}._tick") -> tuple[Tick | None, str]:
     """Return the extension of that name and "", or None and the reason why it is not used."""
-    try:
-        found = cast(Tick, import_module(name))
-    except ImportError as error:
-        return None, f"it is not built: {error}"
-    if sources.digest() != found.SOURCES:
-        return None, "it was built from other sources"
-    return found, ""
+    found, reason = extension.load(name, Path(__file__).parent)
+    return cast(Tick | None, found), reason
 
 
 tick, absence = load()

@@ -419,7 +419,7 @@ async def test_an_error_of_ours_in_the_loop_stops_and_latches_internal(
         def fail(*_: object) -> None:
             raise ZeroDivisionError("ours")
 
-        monkeypatch.setattr("service.safety.dsl.step", fail)
+        monkeypatch.setattr("service.safety.seating.Seating.observe", fail)
         ended = await faulty.assert_latched(run, FaultCode.INTERNAL)
         assert "ZeroDivisionError" in ended.text
 

@@ -287,9 +287,24 @@ async def test_an_error_of_ours_after_an_answer_from_elsewhere_latches_internal(
         def fail(*_: object) -> None:
             raise ZeroDivisionError("ours")
 
-        monkeypatch.setattr("service.safety.dsl.step", fail)
+        monkeypatch.setattr("service.safety.seating.Seating.observe", fail)
         ended = await faulty.assert_latched(run, FaultCode.INTERNAL)
         assert "ZeroDivisionError" in ended.text
+
+
+async def test_nothing_is_told_between_a_question_to_the_policy_and_the_next_sample(
+    faulty_cell: FaultyCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.cell.cell.TELEMETRY_TICKS", 1)
+    async with faulty_cell(inference=LaterInference) as faulty:
+        await faulty.running()
+        records, points = faulty.bench.records, faulty.bench.telemetry
+        before = len(records)
+        await faulty.bench.until(lambda: len(records) >= before + 3)
+        asked = {record.sample.time_s for record in records[before:]}
+        told = {point.t for point in points}
+        assert not asked & told
+        assert {round((at - 0.002) / 0.002) for at in asked} <= {round(at / 0.002) for at in told}
 
 
 async def test_an_observer_that_fails_costs_nobody_else_anything(faulty_cell: FaultyCell) -> None:

@@ -2,16 +2,18 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
 import pytest
 from onnx import helper
 
+from service.cell.insertion import Insertion
+from service.drivers.base import Sample
 from service.faults import FaultCode
 from service.messages import CellState, RunState
 from service.policy.model import Policy
+from service.policy.step import Seen
 from service.safety import dsl
 from service.safety.dsl import DslParameters
 from service.testing import RECIPE, cell_config, lockstep_cell
@@ -83,13 +85,13 @@ async def test_a_command_that_is_no_pose_is_a_fault_of_the_policy(
 ) -> None:
     async with faulty_cell() as faulty:
         run = await faulty.running()
-        sent, whole = len(faulty.driver.said("target")), dsl.step
+        sent, whole = len(faulty.driver.said("target")), Insertion._see
 
-        def nowhere(*given: Any) -> tuple[dsl.DslState, dsl.DslOutput]:
-            state, output = whole(*given)
-            return state, replace(output, position=output.position + 2e6)
+        def nowhere(insertion: Insertion, sample: Sample) -> Seen:
+            seen = whole(insertion, sample)
+            return replace(seen, position=seen.position + 2e6)
 
-        monkeypatch.setattr(dsl, "step", nowhere)
+        monkeypatch.setattr(Insertion, "_see", nowhere)
         await faulty.assert_latched(run, FaultCode.POLICY_INVALID)
         assert len(faulty.driver.said("target")) == sent, "nothing of it was sent"
 

@@ -25,7 +25,8 @@ from service.drivers.base import Program
 from service.drivers.zenoh_sim import ZenohSimDriver
 from service.faults import FaultCode
 from service.messages import CellState, Event, ResetRequest, RunState, StartRequest, StatusResult, Telemetry
-from service.policy.model import PolicyError
+from service.policy.model import Policy, PolicyError
+from service.policy.worker import RECEIVED_AT_ONCE_BYTES
 from service.testing import RECIPE, cell_config, lockstep_cell
 from tests.service.cell import policies
 from tests.service.cell.conftest import EASY
@@ -40,7 +41,8 @@ END_S = 2.0
 LARGEST_OF_A_REFUSED_WORKER = """
 import pathlib, resource, sys
 from service.cell.policy_process import PolicyProcess
-from service.policy.model import PolicyError
+from service.policy.model import Policy, PolicyError
+from service.policy.worker import RECEIVED_AT_ONCE_BYTES
 worker = PolicyProcess(pathlib.Path(sys.argv[1]), step_limit_s=1.0)
 try:
     worker.loaded()
@@ -125,6 +127,12 @@ async def reset(cell: Cell) -> None:
 
 
 # --- lockstep
+
+
+def test_a_contract_longer_than_one_read_of_the_socket_comes_whole(tmp_path: Path) -> None:
+    path = policies.still(tmp_path, provenance={"log": "x" * 5 * RECEIVED_AT_ONCE_BYTES})
+    with closing(PolicyProcess(path, step_limit_s=1.0)) as worker:
+        assert worker.loaded()[1] == Policy.load(path).contract
 
 
 async def test_a_run_through_the_policys_process_is_the_same_bit_for_bit(tmp_path: Path) -> None:

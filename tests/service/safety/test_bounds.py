@@ -123,6 +123,20 @@ def test_the_yaw_range_lies_about_its_middle() -> None:
     assert not bounded(HERE, -0.05, limits).yaw_range
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_yaw_range_ends_on_both_sides(side: float) -> None:
+    at_end = {"measured_yaw": side * 1.15, "previous_yaw": side * 1.15}
+    out = bounded(HERE, side * 1.25, **at_end)
+    assert out.yaw == pytest.approx(side * 1.2)
+    assert out.yaw_range
+
+
+def test_one_element_of_a_batch_that_cannot_be_used_leaves_the_others() -> None:
+    measured = np.array([HERE, [np.nan, 0.0, 0.1]])
+    out = bounded(np.array([HERE, HERE]) + 1e-3, np.zeros(2), measured_position=measured)  # pyright: ignore
+    assert out.invalid.tolist() == [False, True]
+
+
 def test_a_full_yaw_range_has_no_seam() -> None:
     limits = replace(LIMITS, yaw_half_range_rad=pi)
     out = bounded(HERE, pi + 0.1, limits, measured_yaw=pi - 0.02, previous_yaw=pi - 0.02)
@@ -194,6 +208,7 @@ def test_a_batch_is_bounded_as_its_elements_are(commands: list[tuple[list[float]
         ("leash_m", float("nan")),
         ("yaw_half_range_rad", 0.0),
         ("workspace_lower", (0.5, 0.0, 0.0)),
+        ("workspace_lower", (0.4, -0.1, 0.0)),
         ("workspace_upper", (float("inf"), 1.0, 1.0)),
         ("yaw_centre_rad", float("inf")),
     ],

@@ -17,6 +17,7 @@ from service.safety.contact_loop import (
     why_not_law,
 )
 from wire.law import ComplianceLaw
+from wire.records import TICK_S
 
 LAW = ComplianceLaw(
     stiffness=(2500.0, 2500.0, 3000.0, 5.0, 5.0, 8.0),
@@ -46,6 +47,19 @@ def test_a_stiff_arm_without_payload_swings_as_the_law_alone_does() -> None:
     found = swing(3000.0, 60.0, 10.0, at_once)
     assert found.damping_ratio == pytest.approx(free_damping_ratio(3000.0, 60.0, 10.0), abs=0.02)
     assert 2.0 * pi * found.frequency_hz == pytest.approx(sqrt(3000.0 / 10.0), rel=0.03)
+
+
+def test_a_law_in_air_is_stepped_semi_implicitly() -> None:
+    """The spring counts at the end of the step: the roots are those of the law's two equations alone."""
+    stiffness, damping, inertia, tick = 2e5, 100.0, 1.0, TICK_S
+    at_once = Follower(mass=1e-6, stiffness=1e9, payload=0.0, stiffest_contact=1e-9, unit="N/m")
+    whole = inertia + tick * (damping + tick * stiffness)
+    rate = np.array([-tick * stiffness, inertia]) / whole
+    roots = np.linalg.eigvals(np.array([[1.0 + tick * rate[0], tick * rate[1]], rate]))
+    exponent = np.log(roots[0].astype(complex)) / tick
+    assert swing(stiffness, damping, inertia, at_once).damping_ratio == pytest.approx(
+        -exponent.real / abs(exponent), abs=1e-3
+    )
 
 
 @pytest.mark.parametrize(("damping", "inertia"), [(60.0, 0.5), (60.0, 0.6), (250.0, 2.5), (400.0, 0.5)])

@@ -126,7 +126,15 @@ NOISE = np.random.default_rng(0).normal(0.0, [0.7] * 3 + [0.05] * 3, (2000, 6))
 @pytest.mark.parametrize("where", ["wrench", "raw"])
 @pytest.mark.parametrize(
     ("channels", "allowed"),
-    [(range(6), 4), (range(3), 4), (range(3, 6), 4), *(([channel], 8) for channel in range(6)), ([0, 4], 8)],
+    [
+        (range(6), 4),
+        (range(3), 4),
+        (range(3, 6), 4),
+        *(([channel], 8) for channel in range(6)),
+        ([0, 4], 8),
+        ([1, 2], 8),
+        ([4, 5], 8),
+    ],
 )
 def test_64_channels_that_do_not_change_by_a_bit_are_stuck_after_their_number_of_samples(
     source: Source, where: str, channels: Sequence[int], allowed: int
@@ -141,6 +149,10 @@ def test_64_channels_that_do_not_change_by_a_bit_are_stuck_after_their_number_of
     assert ("of the sensor" if where == "raw" else "of the wrench") in verdicts[-1].text
     if len(channels) == 1:
         assert f"channel {['Fx', 'Fy', 'Fz', 'Tx', 'Ty', 'Tz'][channels[0]]} " in verdicts[-1].text
+
+
+def test_one_channel_may_have_the_limit_of_all() -> None:
+    assert replace(LIMITS, stuck_channel_samples=LIMITS.stuck_samples).stuck_channel_samples == LIMITS.stuck_samples
 
 
 def test_64_an_honest_sensor_whose_noise_is_its_resolution_is_never_stuck() -> None:

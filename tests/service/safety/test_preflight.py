@@ -67,11 +67,47 @@ def test_bias_of_torque_and_noise_of_either_are_refused_with_the_number() -> Non
     assert verdict.measured > verdict.limit
 
 
+EXACT = replace(LIMITS, contact_force_n=4.0, bias_force_n=2.0, bias_torque_nm=0.25, noise_force_n=0.5)
+
+
+def around(mean: list[float], deviation: list[float]) -> np.ndarray:
+    """A window with exactly this mean and standard deviation."""
+    sign = np.where(np.arange(64) % 2, 1.0, -1.0)[:, None]
+    return np.array(mean) + sign * np.array(deviation)
+
+
+def test_a_mean_or_noise_at_its_limit_passes_and_a_force_from_the_contacts_on_is_a_contact() -> None:
+    at_limit = around([2.0, 0, 0, 0.25, 0, 0], [0.5, 0, 0, 0, 0, 0])
+    assert check_wrench(EXACT, at_limit).fault is None
+    at_contact = around([4.0, 0, 0, 0, 0, 0], [0.5, 0, 0, 0, 0, 0])
+    assert check_wrench(EXACT, at_contact).fault is FaultCode.CONTACT_AT_START
+
+
+def test_the_noise_of_a_torque_is_judged_as_that_of_a_torque() -> None:
+    limits = replace(EXACT, noise_torque_nm=1.0)
+    assert check_wrench(limits, around([0.0] * 6, [0.25, 0, 0, 0.75, 0, 0])).fault is None
+    assert "torque noise" in check_wrench(limits, around([0.0] * 6, [0.25, 0, 0, 1.5, 0, 0])).text
+
+
+def test_a_load_before_zeroing_is_judged_by_force_and_torque_apart_and_from_the_limit_on() -> None:
+    assert check_unzeroed(LIMITS, np.tile([11.9, 0, 0, 2.4, 0, 0], (4, 1))).fault is None
+    assert check_unzeroed(LIMITS, np.tile([12.0, 0, 0, 0, 0, 0], (4, 1))).fault is FaultCode.CONTACT_AT_START
+
+
+def test_two_samples_have_a_noise() -> None:
+    assert check_wrench(replace(LIMITS, window_samples=2), free_air(2) * 0.5).fault is None
+
+
 POSE = (np.array([0.3, 0.0, 0.2]), 3.1, np.zeros(2))
 
 
 def test_an_arm_at_the_start_pose_may_start() -> None:
     assert check_start_pose(LIMITS, *POSE, POSE[0] + 2e-3, -3.15).fault is None
+
+
+def test_an_arm_at_the_limit_of_the_tilt_may_start() -> None:
+    limits, at_limit = replace(LIMITS, tilt_rad=0.25), np.array([0.25, 0.0])
+    assert check_start_pose(limits, POSE[0], 3.1, at_limit, POSE[0], 3.1).fault is None
 
 
 @pytest.mark.parametrize(
@@ -106,7 +142,7 @@ def test_a_biased_sensor_on_a_free_tool_may_be_zeroed() -> None:
     assert check_unzeroed(LIMITS, free_air() + np.array([4.0, -4.0, 4.0, 0.5, 0.5, 0.2])).fault is None
 
 
-@pytest.mark.parametrize(("channel", "load"), [(0, 20.0), (2, -22.0), (4, 3.0)])
+@pytest.mark.parametrize(("channel", "load"), [(0, 20.0), (2, -22.0), (3, 3.0), (4, 3.0)])
 def test_a_tool_that_is_loaded_before_zeroing_is_not_zeroed_into_free_air(channel: int, load: float) -> None:
     window = free_air()
     window[:, channel] += load

@@ -129,6 +129,19 @@ def test_a_leg_has_as_many_calls_as_its_patience() -> None:
     assert answers == [Answer.UNDER_WAY] * PARAMETERS.patience + [Answer.STUCK]
 
 
+def test_every_leg_has_its_own_patience() -> None:
+    probe = Probe(PARAMETERS, START, 0.0)
+    assert probe.advance(START, np.array([0.0, 0.0, PARAMETERS.held_n])) is Answer.UNDER_WAY, "on a floor: now up"
+    answers = [probe.advance(START, np.zeros(3)) for _ in range(PARAMETERS.patience + 1)]
+    assert answers == [Answer.UNDER_WAY] * PARAMETERS.patience + [Answer.STUCK]
+    assert probe.target[2] == pytest.approx(START[2] + PARAMETERS.lead_m[1])
+
+
+@pytest.mark.parametrize(("stand", "bias_n"), [(walls(-0.5, inf), -5.0), (walls(-inf, 0.5), 5.0)])
+def test_a_force_that_rests_on_the_tip_is_no_wall(stand: Surroundings, bias_n: float) -> None:
+    assert ask(stand, bias_n=bias_n)[0] is Answer.FREE
+
+
 def test_a_tip_that_is_back_ends_the_probe_before_its_patience_ends() -> None:
     answer, probe = ask(walls(-0.5, 0.5), replace(PARAMETERS, patience=1_000_000))
     assert answer is Answer.HELD

@@ -24,7 +24,8 @@ def test_a_tip_deep_below_a_contact_where_the_mouth_is_expected_is_seated(height
     assert seat.finding is Finding.SEATED
     assert seat.depth_m == pytest.approx(3.1e-3), "from the contact, not from the estimate"
     assert seat.text == ""
-    assert judge(PARAMETERS, HOLE, contact(height_mm), tip(z_mm=height_mm - 2.9)).finding is Finding.NOT_DEEP
+    seat = judge(PARAMETERS, HOLE, contact(height_mm), tip(z_mm=height_mm - 2.9))
+    assert (seat.finding, seat.depth_m) == (Finding.NOT_DEEP, pytest.approx(2.9e-3))
 
 
 @pytest.mark.parametrize("felt", [nan, contact(-2.6), contact(-9.0)])
@@ -40,7 +41,20 @@ def test_without_a_contact_there_depth_proves_nothing_yet(felt: float) -> None:
 def test_a_contact_far_above_the_mouth_contradicts_the_camera_at_any_depth(depth_mm: float) -> None:
     seat = judge(PARAMETERS, HOLE, contact(2.6), tip(z_mm=2.6 - depth_mm))
     assert seat.finding is Finding.CONTRADICTED
+    assert seat.depth_m == pytest.approx(1e-3 * depth_mm)
     assert "2.6 mm above the hole's mouth, tolerance 2.5 mm" in seat.text
+
+
+def test_at_a_limit_the_finding_is_the_careful_one() -> None:
+    origin, height_m, deep = np.zeros(3), CAMERA.height_m, np.array([0.0, 0.0, -20e-3])
+    assert judge(PARAMETERS, origin, height_m, deep).finding is Finding.CONTRADICTED
+    assert judge(PARAMETERS, origin, -height_m, deep).finding is Finding.UNPROVEN
+    assert judge(PARAMETERS, origin, 0.0, np.array([0.0, 0.0, -3e-3])).finding is Finding.NOT_DEEP
+
+
+def test_a_tip_as_far_beside_the_hole_as_is_possible_is_in_it() -> None:
+    seat = judge(PARAMETERS, np.zeros(3), 0.0, np.array([PARAMETERS.seat_m, 0.0, -6e-3]))
+    assert seat.finding is Finding.SEATED
 
 
 @pytest.mark.parametrize("felt", [nan, contact(0.0)])
@@ -50,7 +64,8 @@ def test_a_tip_deep_beside_the_hole_is_not_in_it(felt: float) -> None:
     assert judge(PARAMETERS, HOLE, felt, tip(x_mm=most_mm - 0.1, z_mm=-6.0)).finding is not Finding.CONTRADICTED
     seat = judge(PARAMETERS, HOLE, felt, tip(y_mm=-(most_mm + 0.1), z_mm=-6.0))
     assert seat.finding is Finding.CONTRADICTED
-    assert "9.6 mm beside the hole, where at most 9.5 mm are possible" in seat.text
+    assert seat.depth_m == pytest.approx(6e-3)
+    assert "6.0 mm below the surface, and 9.6 mm beside the hole, where at most 9.5 mm are possible" in seat.text
 
 
 def test_the_nominal_hole_is_known_less_well_than_the_cameras() -> None:
@@ -76,6 +91,11 @@ def test_the_nominal_hole_is_known_less_well_than_the_cameras() -> None:
 def test_a_run_stays_about_its_hole(where: np.ndarray, why: str | None) -> None:
     text = PARAMETERS.why_stray(HOLE, where)
     assert (text is None) if why is None else (why in text)
+
+
+def test_a_tip_at_the_limits_of_the_room_has_not_strayed() -> None:
+    hole = np.zeros(3)
+    assert PARAMETERS.why_stray(hole, np.array([PARAMETERS.room_m, 0.0, PARAMETERS.above_m])) is None
 
 
 def test_a_finding_counts_after_two_steps_in_a_row() -> None:

@@ -42,6 +42,12 @@ def test_the_limit_itself_trips_after_the_mean_has_reached_it() -> None:
     assert judge(np.zeros(3), np.array([0.0, 0.0, 11.99]))[-1].fault is None
 
 
+def test_the_mean_begins_at_agreement() -> None:
+    share = TICK_S / (TICK_S + LIMITS.time_s)
+    verdict = Witness(LIMITS, TICK_S, OFFSET).check(np.zeros(6), OFFSET + np.array([0.0, 0.0, 200.0]))
+    assert verdict.measured == pytest.approx(200.0 * share, rel=1e-9)
+
+
 def test_a_step_is_found_within_its_time_constant_and_a_spike_is_not() -> None:
     found = [verdict.fault for verdict in judge(np.zeros(3), np.array([40.0, 0.0, 0.0]))]
     assert found.index(FaultCode.SENSOR_INVALID) * TICK_S <= LIMITS.time_s

@@ -1,10 +1,13 @@
 """In real time, each in its own process: an emulated controller, its control process, the operator's commands."""
 
 import asyncio
+import json
 import os
+import re
 import subprocess
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
+from itertools import cycle
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,8 +15,10 @@ import pytest
 
 from service.client import CellClient
 from service.drivers.ur.rtde import RtdeClient
+from service.drivers.ur.script_upload import upload
 from service.messages import CellState, StartRequest
 from service.program import command
+from tests.service.drivers.ur.attitudes import movej, targets
 from tests.service.drivers.ur.cells import UR
 from tests.service.sim_server import free_endpoint
 from wire.rtde.modes import RuntimeState
@@ -130,6 +135,93 @@ def test_the_operator_s_commands_of_a_cell_without_a_ur_arm_say_so() -> None:
     refused = service("ur", "check", "--config", str(ROOT / "config/cell.toml"))
     assert refused.returncode == 2
     assert "cell.driver" in refused.stderr
+
+
+class Weighed(NamedTuple):
+    status: int
+    out: str
+    told: list[str]
+
+
+async def weigh(config: Path, robot: Robot, *options: str) -> Weighed:
+    """Run the command, and move the arm by programs of another client whenever it asks for another attitude."""
+    process = await asyncio.create_subprocess_exec(
+        *command("ur", "weigh", "--config", str(config), *options),
+        cwd=ROOT,
+        env=os.environ | {"COLUMNS": "200"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    told: list[str] = []
+    start, *others = targets()
+    moves = cycle([*others, start])
+    try:
+        async with asyncio.timeout(120.0):
+            async for line in process.stderr:
+                told.append(line.decode().strip())
+                if told[-1].startswith(("next:", "only")):
+                    await upload(HOST, robot.ports["primary"], movej(next(moves)))
+            out = (await process.stdout.read()).decode()
+            return Weighed(await process.wait(), out, told)
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+
+
+def changed(config: Path, changes: dict[str, str]) -> Path:
+    """Write the configuration anew with other text."""
+    text = config.read_text()
+    for old, new in changes.items():
+        assert old in text, old
+        text = text.replace(old, new)
+    config.write_text(text)
+    return config
+
+
+async def missing(config: Path) -> list[str]:
+    """Start a control process, and return what its status says of the weighing."""
+    async with control_process(config) as (_, client):
+        await until(lambda: client.state is CellState.READY)
+        assert client.last_status is not None
+        return [line for line in client.last_status.degradations if "was not weighed" in line]
+
+
+async def test_a_real_arm_s_status_asks_for_the_weighing_until_its_sensor_is_proven(config: Path, robot: Robot) -> None:
+    changed(config, {"simulated = true": "simulated = false", 'driver = "ur"': 'driver = "ur"\nrealtime = false'})
+    assert len(await missing(config)) == 1
+    done = await weigh(config, robot, "--json")
+    assert done.status == 0, done.told
+    found = json.loads(done.out)
+    assert found["passed"] is True
+    assert found["findings"] == []
+    assert found["unproven_torques"] == ["Tz"]
+    assert [found["axes"][name]["proven"] for name in "xyz"] == [True] * 3
+    assert max(at["off_n"] for at in found["attitudes"]) < found["limit_n"] == 2.0
+    assert found["payload"]["centre_m"] == pytest.approx([0.0, 0.0, 0.0585], abs=0.02)
+    assert found["payload"]["sensor_kg"] == pytest.approx(0.93, abs=0.1)
+    assert await missing(config) == []
+    changed(config, {"payload_kg = 0.93": "payload_kg = 1.5"})
+    assert len(await missing(config)) == 1, "another payload is another weighing"
+
+
+async def test_a_wrong_payload_is_weighed_and_told_with_status_1(config: Path, robot: Robot) -> None:
+    done = await weigh(changed(config, {"payload_kg = 0.93": "payload_kg = 1.5"}), robot)
+    assert done.status == 1
+    assert re.search(r"gain 0\.6\d on all axes: the sensor weighs (0\.9|1\.0)\d kg", done.out), "the sensor drifts"
+    assert "weight shown, at least 4 N" in done.out
+    assert "force off, limit 2 N" in done.out
+    assert "by the sensor, about" in done.out
+    assert "centre" not in done.out, "it is not known before the forces are right"
+    assert not (config.parent / "state/weighed.json").exists()
+
+
+def test_a_payload_that_weighs_too_little_is_refused_at_once(config: Path) -> None:
+    refused = service("ur", "weigh", "--config", str(changed(config, {"payload_kg = 0.93": "payload_kg = 0.1"})))
+    assert refused.returncode == 2
+    assert "grip a heavier thing" in refused.stderr
 
 
 @asynccontextmanager

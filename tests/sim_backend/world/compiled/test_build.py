@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from sim_backend.world import compiled
-from sim_backend.world.compiled import sources
 from sim_backend.world.world import World
 from tests.sim_backend.world.compiled.twins import needs_the_extension
+from wire import extension
 
 ROOT = Path(__file__).resolve().parents[4]
+FOLDER = Path(compiled.__file__).parent
 COMPILER = str(sysconfig.get_config_var("CC") or "cc").split()[0]
 
 
@@ -30,11 +31,13 @@ def build(folder: Path, compiler: str | None = None) -> list[Path]:
 
 
 @pytest.mark.skipif(shutil.which(COMPILER) is None, reason=f"there is no {COMPILER}")
-def test_an_installation_builds_the_extension_of_the_present_sources(tmp_path: Path) -> None:
-    (built,) = build(tmp_path)
-    program = f"import sys; sys.path.insert(0, {str(built.parent)!r}); import _tick; print(_tick.SOURCES)"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
-    assert done.stdout.strip() == sources.digest(), done.stderr
+def test_an_installation_builds_the_extensions_of_the_present_sources(tmp_path: Path) -> None:
+    built = {path.name.partition(".")[0]: path for path in build(tmp_path)}
+    assert set(built) == {"_tick", "_step"}
+    for name, folder in (("_tick", FOLDER), ("_step", ROOT / "service" / "policy" / "compiled")):
+        program = f"import sys; sys.path.insert(0, {str(built[name].parent)!r}); import {name}; print({name}.SOURCES)"
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+        assert done.stdout.strip() == extension.digest(folder), done.stderr
 
 
 def test_without_a_compiler_an_installation_goes_on(tmp_path: Path) -> None:
@@ -53,7 +56,7 @@ def test_an_extension_that_is_not_there_is_said_to_be_missing(monkeypatch: pytes
 @needs_the_extension
 def test_an_extension_of_other_sources_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     assert compiled.load() == (compiled.tick, "")
-    monkeypatch.setattr(sources, "digest", lambda: "of a later file")
+    monkeypatch.setattr(extension, "digest", lambda folder: "of a later file")
     assert compiled.load() == (None, "it was built from other sources")
 
 
@@ -62,15 +65,13 @@ def test_what_computes_the_ticks_is_said() -> None:
     assert compiled.describe() == "simulated ticks: compiled"
 
 
-def test_a_file_of_c_that_changes_changes_the_digest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for path in sources.FOLDER.glob("*.[ch]"):
+def test_a_file_of_c_that_changes_changes_the_digest(tmp_path: Path) -> None:
+    for path in FOLDER.glob("*.[ch]"):
         shutil.copy(path, tmp_path)
-    before = sources.digest()
-    monkeypatch.setattr(sources, "FOLDER", tmp_path)
-    assert sources.digest() == before
+    assert extension.digest(tmp_path) == extension.digest(FOLDER)
     with (tmp_path / "linear.h").open("a") as file:
         file.write("\n")
-    assert sources.digest() != before
+    assert extension.digest(tmp_path) != extension.digest(FOLDER)
 
 
 @needs_the_extension
