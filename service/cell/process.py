@@ -19,6 +19,7 @@ from service.drivers.base import Driver
 from service.drivers.watchdog import Watchdog
 from service.messages import QUERY_STATUS, STATUS_ANSWER, CellState, EventKind
 from service.notify import Notifier
+from service.policy import compiled
 from service.tasks import end_tasks
 from wire.endpoints import EndpointInUseError
 from wire.realtime import request_realtime, settle_interpreter
@@ -117,12 +118,12 @@ async def run(
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     cell = Cell(config, driver, time_of_day=time.time)
-    cell.degradations = degradations
+    cell.degradations = degradations if compiled.step is not None else (*degradations, compiled.describe())
     if driver.mode == "real_time":
         settle_interpreter()  # collecting takes tens of milliseconds, which must not pass at real-time priority
         if config.asks_realtime:
             # Before Zenoh starts its threads: the loop would have to wait for a thread of ordinary priority
-            cell.degradations = (*degradations, *request_realtime())
+            cell.degradations = (*cell.degradations, *request_realtime())
     for line in cell.degradations:
         _log.warning("degraded", what=line)
     try:
@@ -136,18 +137,18 @@ async def run(
         await cell.close()
         raise
     try:
-        try:
-            while not (ended.is_set() or world_listens()):
-                await asyncio.sleep(POLL_S)
-            await _await_policies(cell, ended)
-            plane = ControlPlane(cell, session)
-        except BaseException:
-            await cell.close()
-            raise
-        if ended.is_set():  # told to end while it started: nothing more is started
-            await cell.close()
-            return
         with guarded(cell, brake) as (notifier, beats):
+            try:
+                while not (ended.is_set() or world_listens()):
+                    await asyncio.sleep(POLL_S)
+                await _await_policies(cell, ended)
+                plane = ControlPlane(cell, session)
+            except BaseException:
+                await cell.close()
+                raise
+            if ended.is_set():  # told to end while it started: nothing more is started
+                await cell.close()
+                return
             async with attended(cell, beats):
                 status = asyncio.create_task(plane.publish_status(), name="status")
                 _log.info("serving", cell=config.cell.id, endpoint=config.cell.endpoint, state=cell.state.value)

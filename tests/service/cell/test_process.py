@@ -196,6 +196,20 @@ async def test_a_simulated_cell_has_ordinary_priority_unless_asked_and_its_loop_
             assert priority < realtime.PRIORITY or "watchdog" in words, "the loop comes first"
 
 
+async def test_a_cell_without_the_compiled_step_says_so_in_its_status(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "without").mkdir()
+    (tmp_path / "without" / "sitecustomize.py").write_text(
+        "import sys; sys.modules['service.policy.compiled._step'] = None"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "without"), prepend=os.pathsep)
+    path, endpoint = configured(tmp_path)
+    async with control_process(path, endpoint) as (_, client):
+        assert client.last_status is not None
+        assert [line for line in client.last_status.degradations if line.startswith("policy steps: numpy, slower")]
+
+
 async def test_48_sigterm_in_mid_run_stops_the_arm_and_ends_cleanly(tmp_path: Path) -> None:
     path, endpoint = configured(tmp_path)
     async with control_process(path, endpoint) as (process, client):
