@@ -7,6 +7,7 @@ refused. A request that changes something must come from this server's own page 
 A stop passes none of these checks; `api.stop_rule` has its own.
 """
 
+import functools
 import ipaddress
 import logging
 import time
@@ -70,10 +71,9 @@ class Protection:
             if message["type"] == "http.response.start":
                 answered["status"] = message["status"]
                 headers = MutableHeaders(scope=message)
-                for name, value in SECURITY_HEADERS.items():
-                    headers[name] = value
-                headers["X-Request-ID"] = request_id
                 headers.setdefault("Cache-Control", "no-store")
+                headers["X-Request-ID"] = request_id
+                headers.raw.extend(_SECURITY_HEADERS)
             await send(message)
 
         try:
@@ -140,6 +140,8 @@ class Protection:
         return None
 
 
+_SECURITY_HEADERS = [(name.lower().encode(), value.encode()) for name, value in SECURITY_HEADERS.items()]
+"""As ASGI has them; no answer of the application sets one of them."""
 _TOO_LARGE_TEXT = f"The body is longer than {BODY_LIMIT_BYTES} bytes."
 
 
@@ -184,6 +186,7 @@ def _netloc(origin: str) -> str | None:
         return None
 
 
+@functools.lru_cache(maxsize=256)
 def is_loopback(address: str) -> bool:
     """Return whether an address is `localhost` or a loopback address."""
     if address == "localhost":

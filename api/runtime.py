@@ -62,4 +62,8 @@ def runtime_of(request: Request) -> Runtime:
     return runtime
 
 
-RuntimeDependency = Annotated[Runtime, Depends(runtime_of)]
+async def _injected(request: Request) -> Runtime:
+    return runtime_of(request)  # FastAPI would run a function that is not asynchronous on a thread
+
+
+RuntimeDependency = Annotated[Runtime, Depends(_injected)]

@@ -25,7 +25,8 @@ SHORT = {
 """Benchmarks that `--short` runs, with the scale at which all of them together take less than five minutes."""
 BENCHMARKS = (
     *SHORT,
-    *("throughput", "training_share", "peers", "rtde", "emulator", "ur_client", "ur_stop", "ur_ceiling", "ur_silence"),
+    *("whole_cell", "throughput", "training_share", "peers"),
+    *("rtde", "emulator", "ur_client", "ur_stop", "ur_ceiling", "ur_silence"),
     *("contact_loop", "sensor_lies", "force_overshoot"),
 )
 QUICK = 0.1

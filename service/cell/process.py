@@ -137,18 +137,18 @@ async def run(
         await cell.close()
         raise
     try:
-        try:
-            while not (ended.is_set() or world_listens()):
-                await asyncio.sleep(POLL_S)
-            await _await_policies(cell, ended)
-            plane = ControlPlane(cell, session)
-        except BaseException:
-            await cell.close()
-            raise
-        if ended.is_set():  # told to end while it started: nothing more is started
-            await cell.close()
-            return
         with guarded(cell, brake) as (notifier, beats):
+            try:
+                while not (ended.is_set() or world_listens()):
+                    await asyncio.sleep(POLL_S)
+                await _await_policies(cell, ended)
+                plane = ControlPlane(cell, session)
+            except BaseException:
+                await cell.close()
+                raise
+            if ended.is_set():  # told to end while it started: nothing more is started
+                await cell.close()
+                return
             async with attended(cell, beats):
                 status = asyncio.create_task(plane.publish_status(), name="status")
                 _log.info("serving", cell=config.cell.id, endpoint=config.cell.endpoint, state=cell.state.value)

@@ -10,9 +10,11 @@ from service.cell.states import WITH_RUN
 from service.drivers.base import DriverError
 from service.faults import FaultCode
 from service.messages import CellState
+from wire.modes import RESTING_PERIOD_S
 
 RECONNECT_S = 0.5
 PERIOD_S = 0.005
+"""Time from one turn of the watch to the next while a run or a stop is under way, s."""
 OVERRUNS_IN_A_ROW = 5
 """Overruns without an ordinary turn between them at which a run is latched."""
 
@@ -51,9 +53,11 @@ async def keep_watch(cell: Cell, beats: Sequence[Callable[[], None]] = ()) -> No
     before = cell.driver.clock()
     well = True
     while True:
-        await asyncio.sleep(PERIOD_S)
+        # At rest as often as a resting world speaks
+        period_s = PERIOD_S if cell.state in WITH_RUN or cell.state is CellState.STOPPING else RESTING_PERIOD_S
+        await asyncio.sleep(period_s)
         now = cell.driver.clock()
-        cell.lateness.note(now - before - PERIOD_S)
+        cell.lateness.note(now - before - period_s)
         before = now
         _judge_lateness(cell)
         try:

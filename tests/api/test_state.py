@@ -1,10 +1,13 @@
 import asyncio
+import threading
 from pathlib import Path
 
+import anyio.to_thread
 import pytest
 
+from api.protection import SECURITY_HEADERS
 from service.messages import CellState
-from tests.api.wire_cell import RECIPE, Api, WireCell, serving
+from tests.api.wire_cell import RECIPE, Api, WireCell, serving, until
 
 
 async def test_status_is_unknown_when_no_control_process_was_ever_heard(lonely_api: Api) -> None:
@@ -31,6 +34,28 @@ async def test_status_says_what_is_measured_not_what_was_commanded(api: Api, cel
     await api.http.post("/stop")
     status = await api.wait_for_state(CellState.STOPPING)
     assert status["measured"]["moving"] is True
+
+
+async def test_the_status_is_answered_without_a_thread(api: Api) -> None:
+    limiter = anyio.to_thread.current_default_thread_limiter()
+    release = threading.Event()
+    async with asyncio.TaskGroup() as tasks:
+        for _ in range(int(limiter.total_tokens)):
+            tasks.create_task(anyio.to_thread.run_sync(release.wait))
+        try:
+            await until(lambda: limiter.available_tokens == 0)
+            async with asyncio.timeout(10.0):
+                assert (await api.http.get("/status")).status_code == 200
+        finally:
+            release.set()
+
+
+async def test_an_answer_has_each_header_once(api: Api) -> None:
+    for path in ("/status", "/page/operator.js", "/nothing"):
+        answer = await api.http.get(path)
+        names = [name.lower() for name, _ in answer.headers.raw]
+        assert len(set(names)) == len(names), path
+        assert {name.lower() for name in SECURITY_HEADERS} <= {name.decode() for name in names}, path
 
 
 async def test_a_sample_ages_between_heartbeats(api: Api) -> None:

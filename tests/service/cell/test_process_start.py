@@ -25,12 +25,13 @@ async def child(process: subprocess.Popen[bytes], words: str) -> int:
     return found[0]
 
 
-async def test_policies_load_and_clients_connect_while_the_simulator_starts(tmp_path: Path) -> None:
+async def test_policies_and_the_watchdog_load_and_clients_connect_while_the_simulator_starts(tmp_path: Path) -> None:
     path, endpoint = configured(tmp_path)
     with started_control(path) as process:
         simulator = await child(process, "sim serve")
         os.kill(simulator, signal.SIGSTOP)
-        await child(process, "policy.worker")
+        for other in ("policy.worker", "service.drivers.watchdog"):
+            await child(process, other)
         await until(lambda: has_listener(endpoint))
         async with CellClient("cell-1", [endpoint]) as client:
             await asyncio.sleep(0.5)
