@@ -5,11 +5,16 @@ Everything else about the package is in `pyproject.toml`.
 
 import runpy
 from glob import glob
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy
 from setuptools import Extension, setup
 
+MUJOCO = find_spec("mujoco")
+if MUJOCO is None or MUJOCO.origin is None:
+    raise ModuleNotFoundError("the compiled tick is built against the headers of mujoco, which is not installed")
+INCLUDED = [numpy.get_include(), str(Path(MUJOCO.origin).parent / "include")]
 DIGEST = runpy.run_path("wire/extension.py")["digest"]
 
 
@@ -19,7 +24,7 @@ def extension(folder: str, name: str) -> Extension:
         f"{folder.replace('/', '.')}.{name}",
         sorted(glob(f"{folder}/*.c")),
         depends=sorted(glob(f"{folder}/*.h")),
-        include_dirs=[numpy.get_include()],
+        include_dirs=INCLUDED,
         define_macros=[("Py_LIMITED_API", "0x030B0000"), ("SOURCES", f'"{DIGEST(Path(folder))}"')],
         # as numpy's: one rounding for each operation
         extra_compile_args=["-std=c99", "-O2", "-ffp-contract=off"],

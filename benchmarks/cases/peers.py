@@ -50,7 +50,7 @@ def measure(scale: float, python: Path | None = None) -> Result:
     rollouts = max(1, round(ROLLOUTS * scale))
     share = training_share.one_process(rollouts, CELLS)
     workers = len(os.sched_getaffinity(0))
-    physics = f"{share.physics_s / share.total_s:.0%}"
+    physics = f"{share.ticks_s / share.total_s:.0%}"
     spread = training_share.steps_per_s(workers, rollouts, CELLS * workers)
     rows[len(OURS) : len(OURS)] = [
         _training(f"our training end to end, {CELLS} cells", share.steps / share.total_s, physics),

@@ -1,4 +1,4 @@
-"""Training end to end: steps per second, and the share of physics in the time."""
+"""Training end to end: steps per second, and the share of the ticks in the time."""
 
 import contextlib
 import io
@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mujoco.batch import Batch
-
 from benchmarks.harness.result import Figure, Result
 from benchmarks.harness.stopwatch import timed
+from sim_backend.world.world import World
 from training.environment.vector import EndlessInsertions
 from training.learning import ppo
 from training.learning.experiment import Experiment, load
@@ -29,15 +28,15 @@ class Share:
     Attributes:
         steps: policy steps of all cells.
         cells: number of cells stepped at once.
-        physics_s: time in `Batch.step`.
-        environment_s: time in the environment, physics and resets included.
+        ticks_s: time in the ticks: physics, law and sensor.
+        environment_s: time in the environment, ticks and resets included.
         collecting_s: time in the rollouts, environment included.
         updates_s: time in gradient updates.
     """
 
     steps: int
     cells: int
-    physics_s: float
+    ticks_s: float
     environment_s: float
     collecting_s: float
     updates_s: float
@@ -52,8 +51,8 @@ def measure(scale: float) -> Result:
     rollouts = max(1, round(4 * scale))
     share = one_process(rollouts)
     parts = {
-        "physics (`Batch.step`)": share.physics_s,
-        "the rest of the environment, resets": share.environment_s - share.physics_s,
+        "ticks: physics, law, sensor": share.ticks_s,
+        "the rest of the environment, resets": share.environment_s - share.ticks_s,
         "policy in the rollout, buffers": share.collecting_s - share.environment_s,
         "gradient updates": share.updates_s,
     }
@@ -67,8 +66,8 @@ def measure(scale: float) -> Result:
             ("all, one process", f"{share.total_s:.2f}", "100%"),
             (f"all, {workers} workers", f"{share.steps / rate:.2f}", "–"),
         ),
-        finding=f"{share.steps / share.total_s:.0f} policy steps per second end to end in one process, physics is "
-        f"{share.physics_s / share.total_s:.0%} of it; {rate:.0f} with {workers} workers.",
+        finding=f"{share.steps / share.total_s:.0f} policy steps per second end to end in one process, ticks are "
+        f"{share.ticks_s / share.total_s:.0%} of it; {rate:.0f} with {workers} workers.",
         figures=(Figure("training, one process", share.steps / share.total_s, "steps/s", 1600.0, at_least=True),),
         method=f"{rollouts} rollouts of {share.cells} cells x {load(EXPERIMENT).algorithm.rollout} steps with updates, "
         f"experiment {EXPERIMENT}, from a fresh network: episodes begin together, so contact is rarer than later on.",
@@ -79,7 +78,7 @@ def one_process(rollouts: int, cells: int | None = None) -> Share:
     """Train for some rollouts with one worker; `cells` overrides the experiment's number."""
     here = _shortened(load(EXPERIMENT), 1, rollouts, cells)
     with (
-        timed(Batch, "step") as physics,
+        timed(World, "advance") as ticks,
         timed(EndlessInsertions, "step") as environment,
         timed(Collector, "collect") as collecting,
         timed(ppo, "update") as updates,
@@ -89,7 +88,7 @@ def one_process(rollouts: int, cells: int | None = None) -> Share:
     return Share(
         here.algorithm.steps,
         here.algorithm.cells,
-        sum(end - begin for begin, end in physics.calls if first <= begin < last),
+        sum(end - begin for begin, end in ticks.calls if first <= begin < last),
         environment.spent_s,
         collecting.spent_s,
         updates.spent_s,

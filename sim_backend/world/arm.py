@@ -43,6 +43,9 @@ class ArmController:
         payload: mass, kg, and its centre along the flange's z axis, m, for the gravity that the joints carry.
         stiffness: (6,) stiffness of the joint servos, N·m/rad.
         damping: (6,) damping of the joint servos, N·m·s/rad.
+
+    Attributes:
+        bound: arrays and constants for the compiled tick, where it is used.
     """
 
     def __init__(
@@ -51,8 +54,7 @@ class ArmController:
         self.n = n
         self._all = np.arange(n)
         self._offset = np.array([0.0, 0.0, tcp_offset_m])
-        mass, centre = payload
-        self._servo = JointServo(n, stiffness, damping, mass, (0.0, 0.0, centre))
+        self._servo = JointServo(n, stiffness, damping, payload[0], (0.0, 0.0, payload[1]))
         self.program = np.zeros(n, np.int64)
         self.stop_reason = np.zeros(n, np.int64)
         self.peak_force = np.zeros(n)
@@ -207,9 +209,9 @@ class ArmController:
         saturated = self._trusted if saturated is None else saturated
         out = np.empty((self.n, 6)) if out is None else out
         if self._compiled is not None:
-            due = self._compiled.lead(self._arrays, self._constants, joints, wrench, position, orientation, saturated)
-            inverses = _inverted(self._jacobians[:due]) if due else self._jacobians
-            self._compiled.follow(self._arrays, self._constants, inverses, out)
+            due = self._compiled.lead(*self.bound, joints, wrench, position, orientation, saturated)
+            inverses = np.asarray(np.linalg.inv(self._jacobians[:due]), np.float64) if due else self._jacobians
+            self._compiled.follow(*self.bound, inverses, out)
             return out
         self._release_pending()
         wrench = self._watch(joints, wrench, position, orientation, saturated)
@@ -342,7 +344,7 @@ class ArmController:
             self.reference.twist[cells[singular | outside]] = 0.0
             jacobian[singular] = np.eye(6)
             held |= singular
-        inverse = _inverted(jacobian)
+        inverse = np.asarray(np.linalg.inv(jacobian), np.float64)
         inverse[singular] = 0.0  # a singular arm does not move
         self._inverse[cells] = inverse
         if held.any():
@@ -376,7 +378,6 @@ class ArmController:
             "reference_twist": reference.twist,
             "sag": self._servo.sag,
         }
-        self._arrays = compiled.arrays(tick.ARM, vars(self) | nested)
         constants = {
             **kinematics.LENGTHS_M,
             **self._servo.constants(),
@@ -393,8 +394,4 @@ class ArmController:
             "joint_step": _STEP,
             "tcp": self._offset,
         }
-        self._constants = compiled.constants(tick.ARM_CONSTANTS, constants)
-
-
-def _inverted(matrices: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.inv(matrices), np.float64)
+        self.bound = compiled.arrays(tick.ARM, vars(self) | nested), compiled.constants(tick.ARM_CONSTANTS, constants)

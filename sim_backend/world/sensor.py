@@ -76,6 +76,17 @@ class ForceTorqueSensor:
         """(n, 6) `raw` itself, which the next reading changes in place."""
         return self._raw
 
+    @property
+    def bound(self) -> compiled.Bound:
+        """Arrays and constants for the compiled tick; the constants are those of the latest `configure`."""
+        return self._arrays, self._constants
+
+    def pass_slots(self, ticks: int) -> int:
+        """Go on by readings that the compiled tick takes; return the slot before the first of them."""
+        before = self._slot
+        self._slot = (before + ticks) % MAX_DELAY
+        return before
+
     def configure(
         self, payload_kg: float, payload_com_m: npt.ArrayLike, tcp_offset_m: npt.ArrayLike, rotation: FloatArray
     ) -> None:

@@ -10,14 +10,16 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from sim_backend.world import compiled, kinematics, scene
+from sim_backend.world import compiled, engine, kinematics, scene
 from sim_backend.world.arm import ArmController
 from sim_backend.world.conditions import CAMERA_FRAMES, Episode, draw
+from sim_backend.world.layout import Layout
 from sim_backend.world.linear import product
-from sim_backend.world.parts import HOLE_DEPTH_M, hole_walls, wall_centres
+from sim_backend.world.parts import HOLE_DEPTH_M
 from sim_backend.world.sensor import ForceTorqueSensor
 from sim_backend.world.servo import gains
 from sim_backend.world.telling import Telling
+from sim_backend.world.together import Together
 from wire import pose
 from wire.arrays import BoolArray, CellIndices, FloatArray
 from wire.law import ControlLimits
@@ -58,7 +60,8 @@ class World:
         self._batch = Batch(model, nsim=n, nthread=threads)
         batch = self._batch
         self._qpos, self._qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
-        self._block_position, self._block_quat = batch.bind("mocap_pos")[:, 0], batch.bind("mocap_quat")[:, 0]
+        self._layout = Layout(batch, self._scene)
+        self._block_position = self._layout.block_position
         self._servo_torques, self._constraint_torques = batch.bind("actuator_force"), batch.bind("qfrc_constraint")
         self._passive_torques, self._bias_torques = batch.bind("qfrc_passive"), batch.bind("qfrc_bias")
         self._warmstart = batch.bind("qacc_warmstart")
@@ -72,22 +75,10 @@ class World:
         self._moving = slice(base, self._scene.peg_body + 1)
         self._centre = batch.bind("subtree_com")[:, base]
         self._body_centre, self._body_twist = batch.bind("xipos"), batch.bind("cvel")
-        self._wall_position = batch.expand("geom_pos")
-        self._friction = batch.expand("geom_friction")
-        self._contact = batch.expand("geom_solref")
-        self._body_position = batch.expand("body_pos")
-        self._mass = batch.expand("body_mass")
-        self._inertia = batch.expand("body_inertia")
-        self._finger_stiffness = batch.expand("jnt_stiffness")
         self.sensor = ForceTorqueSensor(
             n, scene.PAYLOAD_KG, (0.0, 0.0, scene.PAYLOAD_COM_M), (0.0, 0.0, scene.TCP_OFFSET_M)
         )
-        self.arm = ArmController(
-            n,
-            scene.TCP_OFFSET_M,
-            (scene.PAYLOAD_KG, scene.PAYLOAD_COM_M),
-            *gains(model),
-        )
+        self.arm = ArmController(n, scene.TCP_OFFSET_M, (scene.PAYLOAD_KG, scene.PAYLOAD_COM_M), *gains(model))
         self._episodes: list[Episode] = [draw(Task(0, part))] * n
         self._all = np.arange(n)
         self.clearance = np.full(n, 2e-3)
@@ -99,10 +90,14 @@ class World:
         self.ticks = np.zeros(n, np.int64)
         self._stiffness_scale = np.ones(n)
         self._compiled = compiled.tick
+        self._together: Together | None = None
         if self._compiled is not None:
             frames = {"estimate_ticks": ESTIMATE_TICKS, "camera_frames": CAMERA_FRAMES}
             self._arrays = compiled.arrays(self._compiled.CELLS, vars(self))
             self._constants = compiled.constants(self._compiled.CELLS_CONSTANTS, frames)
+            bodies, mine = (site, self._scene.gripper_body), (self._arrays, self._constants)
+            engine.stop_timers()
+            self._together = Together(self._compiled, batch, bodies, self.arm.bound, mine)
         self.telling = Telling(
             {
                 "joints": self._joints,
@@ -130,35 +125,31 @@ class World:
         Raises:
             ValueError: a task names another part.
         """
-        walls = self._scene.wall_geoms
-        for cell, task in zip(cells, tasks, strict=True):
-            if task.part != self.part:
-                raise ValueError(
-                    f"this world holds part {self.part!r}, the task asks for {task.part!r}; start another world"
-                )
-            episode = draw(task)
-            self._episodes[cell] = episode
-            self.clearance[cell] = task.clearance_m
-            self.move_hole(np.array([cell]), episode.hole_position[None], np.array([episode.hole_yaw]))
-            self._wall_position[cell, walls, :2] = wall_centres(
-                self._scene.part, task.clearance_m, scene.WALL_HALF_THICKNESS_M
+        self.lay_out(cells, tasks)
+        k = len(cells)
+        self.place(cells, np.tile(START_POSITION_M, (k, 1)), np.full(k, START_YAW_RAD))
+
+    def lay_out(self, cells: CellIndices, tasks: Sequence[Task]) -> None:
+        """Do all of `reset` but to place the arms, for a caller who places them elsewhere.
+
+        Raises:
+            ValueError: a task names another part.
+        """
+        if others := {task.part for task in tasks} - {self.part}:
+            raise ValueError(
+                f"this world holds part {self.part!r}, the task asks for {others.pop()!r}; start another world"
             )
-            self._friction[cell, :, 0] = episode.friction
-            self._contact[cell, :, 0] = episode.contact_time_s
-            self._body_position[cell, self._scene.peg_body, :2] = episode.grasp_offset
-            carried = [self._scene.gripper_body, self._scene.peg_body]
-            nominal = self._scene.model
-            self._mass[cell, carried] = nominal.body_mass[carried] * episode.mass_scale
-            self._inertia[cell, carried] = nominal.body_inertia[carried] * episode.mass_scale
-            self._finger_stiffness[cell, -1] = scene.FINGER_STIFFNESS_NM * episode.stiffness_scale
-            self._stiffness_scale[cell] = episode.stiffness_scale
+        episodes = [draw(task) for task in tasks]
+        self.clearance[cells] = [task.clearance_m for task in tasks]
+        self._layout.write(cells, self.clearance[cells], episodes)
+        self._stiffness_scale[cells] = [episode.stiffness_scale for episode in episodes]
+        for cell, episode in zip(cells, episodes, strict=True):
+            self._episodes[cell] = episode
             self._offset[cell] = episode.hole_position + episode.estimate_offset
             self._jitter[cell] = episode.estimate_noise
             self.sensor.reset(int(cell), episode)
-            self.ticks[cell] = 0
+        self.ticks[cells] = 0
         self._estimate[cells] = self.camera(cells)
-        k = len(cells)
-        self.place(cells, np.tile(START_POSITION_M, (k, 1)), np.full(k, START_YAW_RAD))
 
     def place(self, cells: CellIndices, position: FloatArray, yaw: FloatArray) -> None:
         """Put arms at rest with the TCP at `position` (k, 3), tool down, yaw (k,); their programs are idle afterwards.
@@ -175,7 +166,7 @@ class World:
         self._warmstart[cells] = 0.0
         self._ctrl[cells] = joints
         self._batch.forward(None if len(cells) == self.n else cells.astype(np.int32))
-        self._measure()
+        self._measure(cells)
 
     def move_hole(self, cells: CellIndices, position: FloatArray, yaw: FloatArray) -> None:
         """Move the holes of `cells` as a slipping block does; the camera does not notice.
@@ -185,9 +176,7 @@ class World:
             position: (k, 3) centre of the mouth, m.
             yaw: (k,) yaw, rad.
         """
-        half = 0.5 * yaw
-        self._block_position[cells] = position
-        self._block_quat[cells] = np.column_stack([np.cos(half), np.zeros((len(cells), 2)), np.sin(half)])
+        self._layout.move_hole(cells, position, yaw)
 
     def zero_ft(self, cells: CellIndices) -> None:
         """Zero the sensors of `cells`; meaningless in contact. Callers refuse it while engaged."""
@@ -209,6 +198,19 @@ class World:
         sensor = self.sensor
         self.arm.update(self._joints, sensor.latest, self._position, self._orientation, sensor.saturated, self._ctrl)
         self._step()
+
+    def advance(self, readings: FloatArray) -> None:
+        """Advance every cell by as many ticks as `readings` (ticks, n, 6) has rows, each as by `tick`.
+
+        A row takes the sensors' compensated readings after its tick. The ticks are one call of MuJoCo if there is no
+        `engine.obstacle`.
+        """
+        if self._together is None or engine.obstacle():
+            for row in readings:
+                self.tick()
+                row[:] = self.sensor.latest
+            return
+        self._together.advance(self.sensor.bound, self.sensor.pass_slots(len(readings)), readings)
 
     def drive(self, set_points: FloatArray) -> None:
         """Advance every cell by one tick of 2 ms with `set_points` (n, 6) for the joint servos, rad.
@@ -317,18 +319,18 @@ class World:
     def offset(self) -> FloatArray:
         """(n, 2) true position of the peg's axis in the hole's frame, m."""
         delta = self._peg_position[:, :2] - self._block_position[:, :2]
-        cosine, sine = np.cos(self.hole_yaw), np.sin(self.hole_yaw)
+        cosine, sine = self._layout.hole_turn
         return np.stack([cosine * delta[:, 0] + sine * delta[:, 1], cosine * delta[:, 1] - sine * delta[:, 0]], axis=1)
 
     @property
     def hole_yaw(self) -> FloatArray:
-        """(n,) true yaw of the hole, rad."""
-        return 2.0 * np.arctan2(self._block_quat[:, 3], self._block_quat[:, 0])
+        """(n,) copy of the true yaw of the hole, rad."""
+        return self._layout.hole_yaw.copy()
 
     @property
     def friction(self) -> FloatArray:
         """(n,) sliding friction of peg on block."""
-        return self._friction[:, self._scene.peg_geom, 0]
+        return self._layout.friction[:, self._scene.peg_geom, 0]
 
     @property
     def symmetry_order(self) -> int:
@@ -343,10 +345,9 @@ class World:
     @property
     def contained(self) -> BoolArray:
         """(n,) mask: the peg's axis lies inside the hole's outline, and its bottom is not below the hole's floor."""
-        walls = hole_walls(self._scene.part, self.clearance)
-        offset = self.offset
-        along = np.cos(walls[:, :, 0]) * offset[:, :1] + np.sin(walls[:, :, 0]) * offset[:, 1:]
-        inside = np.logical_and.reduce(along <= walls[:, :, 1], axis=1)
+        offset, (x, y) = self.offset, self._layout.outward
+        along = x * offset[:, :1] + y * offset[:, 1:]
+        inside = np.logical_and.reduce(along <= self._layout.wall_distance, axis=1)
         return inside & (self.depth <= HOLE_DEPTH_M + FLOOR_GIVE_M)
 
     @property
@@ -370,7 +371,7 @@ class World:
         x0, y0, z0 = self._centre[cell].tolist()
         px = py = pz = 0.0
         for mass, (x, y, z), (wx, wy, wz, vx, vy, vz) in zip(  # velocities at the centre of mass of the whole
-            self._mass[cell, moving].tolist(),
+            self._layout.mass[cell, moving].tolist(),
             self._body_centre[cell, moving].tolist(),
             self._body_twist[cell, moving].tolist(),
             strict=True,
@@ -386,12 +387,12 @@ class World:
             self._compiled.measure(self._arrays, self._constants)
         else:
             self.ticks += 1
-            self._measure()
+            self._measure(self._all)
             np.negative(self._load, out=self._carried)
             self._estimate[:] = self.camera(self._all)
         self.sensor.read(self._carried, self._rotation)
 
-    def _measure(self) -> None:
-        self._joints[:] = self._qpos[:, :6]
-        self._position[:] = self._tcp_position
-        self._rotation[:] = self._tcp_rotation
+    def _measure(self, cells: CellIndices) -> None:
+        self._joints[cells] = self._qpos[cells, :6]
+        self._position[cells] = self._tcp_position[cells]
+        self._rotation[cells] = self._tcp_rotation[cells]

@@ -34,6 +34,7 @@ def train(
     The same command again goes on where the last one ended.
     """
     try:
+        from sim_backend.world import engine
         from training.learning.learn import TrainingError, learn
         from training.learning.parallel import WorkerError
         from training.learning.run import CheckpointError, TrainingRun
@@ -41,6 +42,8 @@ def train(
         refuse_without_extra("train", error)
     signal.signal(signal.SIGTERM, _interrupt)
     deadline = time.monotonic() + minutes * 60
+    if engine.obstacle():
+        typer.echo(engine.describe(), err=True)
     try:
         asked = load(experiment)
         seeds = seed or asked.seeds

@@ -5,8 +5,8 @@ training, and `training.evaluation.evaluate` plays whole episodes on it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from service.policy.compiled import rotvec_from_yaw, yaw_and_tilt
 from service.policy.compiled.policy_step import policy_step
 from service.policy.contract import PolicyContract
-from service.policy.step import Seen, command_bounds
+from service.policy.step import Seen, StepState, command_bounds
 from service.safety.pose import rotate, wrap
 from sim_backend.world import quaternion
 from sim_backend.world.scene import NOMINAL_HOLE_M
@@ -43,6 +43,11 @@ SLIP_YAW_RAD = float(np.deg2rad(60))
 SLIP_DEPTH_M = 1e-4
 """A hole slips only while the peg is in it by less than this, m."""
 LIMITS = ControlLimits(WORKSPACE_M, FORCE_CEILING_N)
+_ALL = slice(None)
+_SEEN_ANEW = ("position", "yaw", "tilt", "hole_estimate", "last_joint")
+"""Fields of `Seen` that the beginning of an episode changes; the window is one array."""
+
+Rows = TypeVar("Rows")
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,21 +162,23 @@ class Insertions:
             (n, size) observations; rows of other cells are unchanged.
         """
         world = self.world
-        world.reset(cells, tasks)
+        world.lay_out(cells, tasks)
         self._mislead(cells, tasks)
         known = world.camera(cells) if self.contract.uses_estimate else self._nominal[cells]
         hover = known + np.column_stack([np.zeros((len(cells), 2)), world.hover(cells)])
         world.place(cells, hover, self._start_yaw[cells])
         world.zero_ft(cells)
         world.engage(cells, *self._law, self._limits)
-        mask = np.zeros(self.n, np.bool_)
-        mask[cells] = True
         self._window[:, cells] = 0.0  # a deployed cell has noise here; this world cannot sample some cells alone
-        self._state = self._state.reset(mask, world.position, np.asarray(pose.yaw_of(world.rotation)))
         self.steps[cells] = 0
         self.peak_force[cells] = 0.0
         self._shape_anew(cells)
-        self.observation = np.where(mask[:, None], self._observe(mask), self.observation)
+        seen = self._see(cells)
+        state, observation = self._observed(self._policy_step.begin(seen.position, seen.yaw), seen, cells)
+        self._state = _with_rows(self._state, cells, state)
+        for name in _SEEN_ANEW:
+            getattr(self._seen, name)[cells] = getattr(seen, name)
+        self.observation = _with_rows(self.observation, cells, observation)
         return self.observation
 
     def step(self, action: npt.ArrayLike) -> Outcome:
@@ -183,13 +190,12 @@ class Insertions:
         turn = quaternion.from_rotvec(rotvec_from_yaw(bounded.yaw))
         everyone = np.arange(self.n)
         world.arm.set_target(everyone, bounded.position, turn)
-        for tick in range(contract.ticks_per_step):
-            world.tick()
-            self._window[tick] = world.sensor.wrench
+        world.advance(self._window)
         force = np.sqrt((self._window[..., :3] ** 2).sum(-1)).max(0)
         np.maximum(self.peak_force, force, out=self.peak_force)
         self.steps += 1
-        self.observation = self._observe()
+        self._seen = self._see()
+        self._state, self.observation = self._observed(self._state, self._seen, _ALL)
 
         torque = np.sqrt((self._window[..., 3:] ** 2).sum(-1)).max(0)
         fault = (world.arm.program != Program.ENGAGED) | bounded.tilt | (torque >= TORQUE_CEILING_NM)
@@ -280,27 +286,27 @@ class Insertions:
     def _situation(self, success: BoolArray, fault: BoolArray) -> Situation:
         return Situation(self.world.offset, self._yaw_error(), self.world.depth, self.peak_force, success, fault)
 
-    def _observe(self, mask: BoolArray | None = None) -> Float32Array:
-        self._seen = self._see()
-        read = self._seen
+    def _observed(self, state: StepState, seen: Seen, cells: CellIndices | slice) -> tuple[StepState, Float32Array]:
+        """Return state and observation of `cells` after they have observed."""
         if self._misreads:  # only the policy misreads the torque, the lock does not
-            read = replace(read, wrench_window=read.wrench_window.copy())
-            read.wrench_window[..., 5] *= self._torque_read
-        self._state, observation = self._policy_step.observe(self._state, read, mask)
-        return observation
+            seen = replace(seen, wrench_window=seen.wrench_window.copy())
+            seen.wrench_window[..., 5] *= self._torque_read[cells]
+        return self._policy_step.observe(state, seen)
 
-    def _see(self) -> Seen:
+    def _see(self, cells: CellIndices | slice = _ALL) -> Seen:
+        """Return what is measured in `cells`; of all, the window is the one that the next step writes into."""
         world = self.world
-        _, tilt = yaw_and_tilt(pose.rotvec_from_rotation(world.rotation))
+        rotation = world.rotation[cells]
+        _, tilt = yaw_and_tilt(pose.rotvec_from_rotation(rotation))
         return Seen(
-            position=world.position,
-            yaw=np.asarray(pose.yaw_of(world.rotation)),
+            position=world.position[cells],
+            yaw=np.asarray(pose.yaw_of(rotation)),
             tilt=tilt,
-            wrench_window=self._window.copy(),
-            hole_estimate=world.estimate,
-            nominal_hole=self._nominal,
-            start_yaw=self._start_yaw,
-            last_joint=world.joints[:, 5],
+            wrench_window=self._window[:, cells],
+            hole_estimate=world.estimate[cells],
+            nominal_hole=self._nominal[cells],
+            start_yaw=self._start_yaw[cells],
+            last_joint=world.joints[cells, 5],
         )
 
 
@@ -315,3 +321,13 @@ def info_of(outcome: Outcome) -> dict[str, Any]:
         "phase": outcome.phase,
         "clamped": outcome.clamped,
     }
+
+
+def _with_rows(whole: Rows, cells: CellIndices, part: Rows) -> Rows:
+    """Return a copy of an array (n, …), or of a dataclass of such arrays, with the rows of `cells` (k,) of `part`."""
+    if is_dataclass(whole):
+        names = [field.name for field in fields(whole)]
+        return type(whole)(*(_with_rows(getattr(whole, name), cells, getattr(part, name)) for name in names))
+    rows: Any = np.array(whole)
+    rows[cells] = part
+    return rows

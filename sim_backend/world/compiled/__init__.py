@@ -4,7 +4,7 @@ The numpy code is the specification, and all there is where the extension is not
 machine has a C compiler. `docs/explanation/decisions/0027-a-compiled-tick.md` has the reasons and the figures.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -16,22 +16,34 @@ from wire.arrays import BoolArray, FloatArray
 
 Arrays = tuple[npt.NDArray[Any], ...]
 """Arrays of one object, in the order of the extension's names; one row per cell."""
+Bound = tuple[Arrays, FloatArray]
+"""Arrays and constants of one object."""
 
 
 class Tick(Protocol):
     """Functions of the extension. They check types and shapes and write into the arrays that they are given."""
 
     SOURCES: str
+    MUJOCO: int
+    """Version of MuJoCo that it was built for."""
+    INVERTS: int
+    """1 if it found numpy's inverse of a matrix."""
+    CONTROL: int
+    """Address of MuJoCo's control callback for `advance`."""
+    CLOCK: int
+    """Address of a clock for MuJoCo's timers that stands still."""
     ARM: tuple[str, ...]
     SENSOR: tuple[str, ...]
     CELLS: tuple[str, ...]
     DRIVES: tuple[str, ...]
     TELLING: tuple[str, ...]
     REPORT: tuple[str, ...]
+    TOGETHER: tuple[str, ...]
     ARM_CONSTANTS: Mapping[str, int]
     SENSOR_CONSTANTS: Mapping[str, int]
     CELLS_CONSTANTS: Mapping[str, int]
     DRIVES_CONSTANTS: Mapping[str, int]
+    TOGETHER_CONSTANTS: Mapping[str, int]
 
     def lead(
         self,
@@ -73,6 +85,30 @@ class Tick(Protocol):
 
     def tell(self, telling: Arrays, report: Arrays, /) -> None:
         """Run `Telling.write`."""
+        ...
+
+    def advance(
+        self,
+        arm: Arrays,
+        arm_constants: FloatArray,
+        cells: Arrays,
+        cells_constants: FloatArray,
+        sensor: Arrays,
+        sensor_constants: FloatArray,
+        together: Arrays,
+        together_constants: FloatArray,
+        readings: FloatArray,
+        slot: int,
+        step: Callable[[int], None],
+        /,
+    ) -> None:
+        """Run `World.tick` for each row of `readings` (ticks, n, 6), within one call of `step` with that number.
+
+        `step` is to make so many steps of MuJoCo, which is to call `CONTROL` in each.
+
+        Raises:
+            RuntimeError: MuJoCo has called another callback.
+        """
         ...
 
 

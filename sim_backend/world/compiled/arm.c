@@ -200,17 +200,15 @@ static void linearise(const Arm *arm, const ArmConstants *constants, intptr_t ce
     *truth(arm->singular, cell) = (unsigned char)singular;
 }
 
-intptr_t arm_lead(const Arm *arm, const ArmConstants *constants, const Measured *measured, intptr_t n)
+int arm_lead(const Arm *arm, const ArmConstants *constants, const Measured *measured, intptr_t cell, intptr_t number)
 {
-    intptr_t due = 0;
-    for (intptr_t cell = 0; cell < n; cell++) {
-        double wrench[6];
-        release_pending(arm, cell);
-        watch(arm, constants, measured, cell, wrench);
-        move_reference(arm, constants, measured, cell, wrench);
-        if (*integer(arm->phase, cell) == 0)
-            linearise(arm, constants, cell, due++);
-    }
+    double wrench[6];
+    release_pending(arm, cell);
+    watch(arm, constants, measured, cell, wrench);
+    move_reference(arm, constants, measured, cell, wrench);
+    int due = *integer(arm->phase, cell) == 0;
+    if (due)
+        linearise(arm, constants, cell, number);
     return due;
 }
 
@@ -237,31 +235,28 @@ static void solve(const Arm *arm, const ArmConstants *constants, intptr_t cell, 
         numbers(arm->sag, cell)[k] = constants->sag_per_lever[k] * jacobian[12 + k];
 }
 
-void arm_follow(const Arm *arm, const ArmConstants *constants, Rows inverses, Rows set_points, intptr_t n)
+int arm_follow(
+    const Arm *arm, const ArmConstants *constants, intptr_t cell, intptr_t number, const double *inverse, double out[6])
 {
-    intptr_t due = 0;
-    for (intptr_t cell = 0; cell < n; cell++) {
-        int64_t *phase = integer(arm->phase, cell);
-        if (*phase == 0) {
-            solve(arm, constants, cell, numbers(inverses, due), numbers(arm->errors, due));
-            due++;
-        }
-        *phase = (*phase + 1) % (int64_t)constants->kinematics_ticks;
-        double *joints = numbers(arm->joints, cell), *twist = numbers(arm->reference_twist, cell), rates[6];
-        const double *sag = numbers(arm->sag, cell);
-        double *out = numbers(set_points, cell);
-        product(numbers(arm->inverse, cell), twist, rates, 6);
-        int racing = 0;
-        for (int k = 0; k < 6; k++)
-            racing |= fabs(rates[k]) > constants->joint_speed[k];
-        if (racing) {
-            stop(arm, cell, KINEMATICS);
-            clear(twist, 6);
-            clear(rates, 6);
-        }
-        for (int k = 0; k < 6; k++) {
-            joints[k] += constants->tick_s * rates[k];
-            out[k] = joints[k] + constants->lead[k] * rates[k] + sag[k];
-        }
+    int64_t *phase = integer(arm->phase, cell);
+    int due = *phase == 0;
+    if (due)
+        solve(arm, constants, cell, inverse, numbers(arm->errors, number));
+    *phase = (*phase + 1) % (int64_t)constants->kinematics_ticks;
+    double *joints = numbers(arm->joints, cell), *twist = numbers(arm->reference_twist, cell), rates[6];
+    const double *sag = numbers(arm->sag, cell);
+    product(numbers(arm->inverse, cell), twist, rates, 6);
+    int racing = 0;
+    for (int k = 0; k < 6; k++)
+        racing |= fabs(rates[k]) > constants->joint_speed[k];
+    if (racing) {
+        stop(arm, cell, KINEMATICS);
+        clear(twist, 6);
+        clear(rates, 6);
     }
+    for (int k = 0; k < 6; k++) {
+        joints[k] += constants->tick_s * rates[k];
+        out[k] = joints[k] + constants->lead[k] * rates[k] + sag[k];
+    }
+    return due;
 }

@@ -1,4 +1,4 @@
-/* arm.py, with compliance.py and servo.py: one tick of n arm controllers, in two halves. */
+/* arm.py, with compliance.py and servo.py: one tick of an arm controller, in two halves. */
 #ifndef ARM_H
 #define ARM_H
 
@@ -83,10 +83,12 @@ typedef struct {
     ARM_VECTORS(AS_VECTOR)
 } ArmConstants;
 
-/* Watch the limits, advance the references and prepare the exact solutions that are due. Return how many are due. */
-intptr_t arm_lead(const Arm *arm, const ArmConstants *constants, const Measured *measured, intptr_t n);
+/* Watch the limits and advance the reference. Return 1 if an exact solution is due, which is then prepared as `number`. */
+int arm_lead(const Arm *arm, const ArmConstants *constants, const Measured *measured, intptr_t cell, intptr_t number);
 
-/* Finish the exact solutions with the inverses of `jacobians`, follow the references and write set-points (n, 6). */
-void arm_follow(const Arm *arm, const ArmConstants *constants, Rows inverses, Rows set_points, intptr_t n);
+/* Finish the exact solution `number` with the inverse of its Jacobian, if one is due, follow the reference and write
+   set-points. Return 1 if one was due. */
+int arm_follow(
+    const Arm *arm, const ArmConstants *constants, intptr_t cell, intptr_t number, const double *inverse, double out[6]);
 
 #endif

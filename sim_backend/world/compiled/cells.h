@@ -31,7 +31,15 @@ typedef struct {
     CELLS_NUMBERS(AS_NUMBER)
 } CellsConstants;
 
+/* The numbers of a cell's physics that its tick is measured from. */
+typedef struct {
+    const double *qpos, *tcp_position, *tcp_rotation, *load;
+} Physics;
+
+/* Those that the batch has copied out of MuJoCo's data. */
+Physics cells_physics(const Cells *cells, intptr_t cell);
+
 /* Count the tick, and take the measured values, the sensor's load and the camera's estimate. */
-void cells_measure(const Cells *cells, const CellsConstants *constants, intptr_t n);
+void cells_measure(const Cells *cells, const CellsConstants *constants, const Physics *physics, intptr_t cell);
 
 #endif

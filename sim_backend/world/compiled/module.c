@@ -4,8 +4,8 @@
 
 #define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
 #include <numpy/arrayobject.h>
-#include <numpy/ufuncobject.h>
 
+#include "advance.h"
 #include "arm.h"
 #include "cells.h"
 #include "functions.h"
@@ -21,6 +21,7 @@ static const Field DRIVES[] = {DRIVES_FIELDS(AS_FIELD)};
 static const Field EFFORT[] = {EFFORT_FIELDS(AS_FIELD)};
 static const Field TELLING[] = {TELLING_FIELDS(AS_FIELD)};
 static const Field REPORT[] = {REPORT_FIELDS(AS_FIELD)};
+static const Field TOGETHER[] = {TOGETHER_FIELDS(AS_FIELD)};
 static const Field INVERSES = {"inverses", NUMBER, 36, READ};
 static const Field SET_POINTS = {"set_points", NUMBER, 6, WRITTEN};
 static const Field CARRIED = {"carried", NUMBER, 6, READ};
@@ -31,64 +32,9 @@ static const Constant ARM_CONSTANTS[] = {ARM_NUMBERS(AS_CONSTANT) ARM_VECTORS(AS
 static const Constant SENSOR_CONSTANTS[] = {SENSOR_NUMBERS(AS_CONSTANT) SENSOR_VECTORS(AS_CONSTANTS)};
 static const Constant DRIVES_CONSTANTS[] = {DRIVES_NUMBERS(AS_CONSTANT) DRIVES_VECTORS(AS_CONSTANTS)};
 static const Constant CELLS_CONSTANTS[] = {CELLS_NUMBERS(AS_CONSTANT)};
+static const Constant TOGETHER_CONSTANTS[] = {TOGETHER_NUMBERS(AS_CONSTANT)};
 
 #define COUNT(list) ((Py_ssize_t)(sizeof(list) / sizeof *(list)))
-
-/* --- numpy's own functions ---------------------------------------------------------------------------------------- */
-
-typedef struct {
-    PyUFuncGenericFunction loop;
-    void *data;
-} Function;
-
-static Function sine, cosine, arctangent2;
-
-void sines(const double *angles, double *out, intptr_t count)
-{
-    char *arguments[] = {(char *)angles, (char *)out};
-    const npy_intp dimension = count, strides[] = {sizeof(double), sizeof(double)};
-    sine.loop(arguments, &dimension, strides, sine.data);
-}
-
-void cosines(const double *angles, double *out, intptr_t count)
-{
-    char *arguments[] = {(char *)angles, (char *)out};
-    const npy_intp dimension = count, strides[] = {sizeof(double), sizeof(double)};
-    cosine.loop(arguments, &dimension, strides, cosine.data);
-}
-
-double arctangent(double y, double x)
-{
-    double out;
-    char *arguments[] = {(char *)&y, (char *)&x, (char *)&out};
-    const npy_intp dimension = 1, strides[] = {sizeof y, sizeof x, sizeof out};
-    arctangent2.loop(arguments, &dimension, strides, arctangent2.data);
-    return out;
-}
-
-/* Take the loop over doubles of one of numpy's functions. Return -1 with an exception if numpy has none. */
-static int take(PyObject *numpy, const char *name, Function *function)
-{
-    PyObject *found = PyObject_GetAttrString(numpy, name);
-    if (found == NULL)
-        return -1;
-    if (PyObject_TypeCheck(found, &PyUFunc_Type)) {
-        const PyUFuncObject *ufunc = (PyUFuncObject *)found;
-        for (int k = 0; k < ufunc->ntypes && ufunc->functions != NULL; k++) {
-            int doubles = 1;
-            for (int argument = 0; argument < ufunc->nargs; argument++)
-                doubles &= ufunc->types[k * ufunc->nargs + argument] == NPY_DOUBLE;
-            if (doubles && ufunc->functions[k] != NULL) {
-                *function = (Function){ufunc->functions[k], ufunc->data == NULL ? NULL : (void *)ufunc->data[k]};
-                Py_DECREF(found); /* the module numpy keeps it */
-                return 0;
-            }
-        }
-    }
-    Py_DECREF(found);
-    PyErr_Format(PyExc_ImportError, "numpy.%s has no loop over doubles", name);
-    return -1;
-}
 
 /* --- arguments ---------------------------------------------------------------------------------------------------- */
 
@@ -186,7 +132,10 @@ static PyObject *lead(PyObject *self, PyObject *const *given, Py_ssize_t count)
     for (Py_ssize_t k = 0; k < COUNT(MEASURED); k++)
         if (take_rows(given[2 + k], &MEASURED[k], (Rows *)&measured + k, &n) < 0)
             return NULL;
-    return PyLong_FromSsize_t(arm_lead(&arm, constants, &measured, n));
+    Py_ssize_t due = 0;
+    for (npy_intp cell = 0; cell < n; cell++)
+        due += arm_lead(&arm, constants, &measured, cell, due);
+    return PyLong_FromSsize_t(due);
 }
 
 static PyObject *follow(PyObject *self, PyObject *const *given, Py_ssize_t count)
@@ -204,7 +153,8 @@ static PyObject *follow(PyObject *self, PyObject *const *given, Py_ssize_t count
         due += *integer(arm.phase, cell) == 0;
     if (take_rows(given[2], &INVERSES, &inverses, &due) < 0 || take_rows(given[3], &SET_POINTS, &set_points, &n) < 0)
         return NULL;
-    arm_follow(&arm, constants, inverses, set_points, n);
+    for (npy_intp cell = due = 0; cell < n; cell++)
+        due += arm_follow(&arm, constants, cell, due, numbers(inverses, due), numbers(set_points, cell));
     Py_RETURN_NONE;
 }
 
@@ -222,7 +172,8 @@ static PyObject *sense(PyObject *self, PyObject *const *given, Py_ssize_t count)
     Py_ssize_t slot = PyLong_AsSsize_t(given[3]);
     if (slot == -1 && PyErr_Occurred())
         return NULL;
-    sensor_sense(&sensor, constants, carried, slot, n);
+    for (npy_intp cell = 0; cell < n; cell++)
+        sensor_sense(&sensor, constants, numbers(carried, cell), slot, cell);
     Py_RETURN_NONE;
 }
 
@@ -238,7 +189,8 @@ static PyObject *compensate(PyObject *self, PyObject *const *given, Py_ssize_t c
     if (constants == NULL || take_rows(given[2], &SENSED, &sensed, &n) < 0 ||
         take_rows(given[3], &ROTATION, &rotation, &n) < 0)
         return NULL;
-    sensor_compensate(&sensor, constants, sensed, rotation, n);
+    for (npy_intp cell = 0; cell < n; cell++)
+        sensor_compensate(&sensor, constants, numbers(sensed, cell), numbers(rotation, cell), cell);
     Py_RETURN_NONE;
 }
 
@@ -297,7 +249,41 @@ static PyObject *measure(PyObject *self, PyObject *const *given, Py_ssize_t coun
     const CellsConstants *constants = take_constants(given[1], sizeof *constants);
     if (constants == NULL)
         return NULL;
-    cells_measure(&cells, constants, n);
+    for (npy_intp cell = 0; cell < n; cell++) {
+        const Physics physics = cells_physics(&cells, cell);
+        cells_measure(&cells, constants, &physics, cell);
+    }
+    Py_RETURN_NONE;
+}
+
+static PyObject *advance(PyObject *self, PyObject *const *given, Py_ssize_t count)
+{
+    (void)self;
+    Advance call;
+    npy_intp n = -1;
+    if (!has(count, 11) || take_all(given[0], ARM, COUNT(ARM), (Rows *)&call.arm, &n) < 0 ||
+        (call.arm_constants = take_constants(given[1], sizeof *call.arm_constants)) == NULL ||
+        take_all(given[2], CELLS, COUNT(CELLS), (Rows *)&call.cells, &n) < 0 ||
+        (call.cells_constants = take_constants(given[3], sizeof *call.cells_constants)) == NULL ||
+        take_all(given[4], SENSOR, COUNT(SENSOR), (Rows *)&call.sensor, &n) < 0 ||
+        (call.sensor_constants = take_constants(given[5], sizeof *call.sensor_constants)) == NULL ||
+        take_all(given[6], TOGETHER, COUNT(TOGETHER), (Rows *)&call.together, &n) < 0 ||
+        (call.constants = take_constants(given[7], sizeof *call.constants)) == NULL)
+        return NULL;
+    const Field readings = {"readings", NUMBER, 6 * n, WRITTEN};
+    call.slot = PyLong_AsSsize_t(given[9]);
+    call.n = n;
+    call.ticks = -1;
+    if ((call.slot == -1 && PyErr_Occurred()) || take_rows(given[8], &readings, &call.readings, &call.ticks) < 0)
+        return NULL;
+    advance_open(&call);
+    PyObject *stepped = PyObject_CallFunction(given[10], "n", call.ticks); /* gives up the interpreter's lock */
+    int whole = advance_close(&call, stepped != NULL);
+    if (stepped != NULL && !whole)
+        PyErr_SetString(PyExc_RuntimeError, "MuJoCo has called another control callback");
+    Py_XDECREF(stepped);
+    if (!whole)
+        return NULL;
     Py_RETURN_NONE;
 }
 
@@ -312,6 +298,7 @@ static PyMethodDef methods[] = {
     FAST(measure),
     FAST(feel),
     FAST(tell),
+    FAST(advance),
     {NULL},
 };
 
@@ -344,13 +331,18 @@ static int add_constants(PyObject *module, const char *name, const Constant *con
     return failed ? -1 : 0;
 }
 
+static int add_address(PyObject *module, const char *name, void *address)
+{
+    PyObject *number = PyLong_FromVoidPtr(address);
+    int failed = number == NULL || PyModule_AddObjectRef(module, name, number) < 0;
+    Py_XDECREF(number);
+    return failed ? -1 : 0;
+}
+
 PyMODINIT_FUNC PyInit__tick(void)
 {
     import_array();
-    import_umath();
-    PyObject *numpy = PyImport_ImportModule("numpy");
-    if (numpy == NULL || take(numpy, "sin", &sine) < 0 || take(numpy, "cos", &cosine) < 0 ||
-        take(numpy, "arctan2", &arctangent2) < 0)
+    if (functions_take() < 0)
         return NULL;
     PyObject *module = PyModule_Create(&definition);
     if (module == NULL || PyModule_AddStringConstant(module, "SOURCES", SOURCES) < 0 ||
@@ -359,10 +351,15 @@ PyMODINIT_FUNC PyInit__tick(void)
         add_fields(module, "DRIVES", DRIVES, COUNT(DRIVES)) < 0 ||
         add_fields(module, "TELLING", TELLING, COUNT(TELLING)) < 0 ||
         add_fields(module, "REPORT", REPORT, COUNT(REPORT)) < 0 ||
+        add_fields(module, "TOGETHER", TOGETHER, COUNT(TOGETHER)) < 0 ||
+        PyModule_AddIntConstant(module, "MUJOCO", advance_version()) < 0 ||
+        PyModule_AddIntConstant(module, "INVERTS", functions_invert()) < 0 ||
         add_constants(module, "DRIVES_CONSTANTS", DRIVES_CONSTANTS, COUNT(DRIVES_CONSTANTS)) < 0 ||
         add_constants(module, "ARM_CONSTANTS", ARM_CONSTANTS, COUNT(ARM_CONSTANTS)) < 0 ||
         add_constants(module, "SENSOR_CONSTANTS", SENSOR_CONSTANTS, COUNT(SENSOR_CONSTANTS)) < 0 ||
-        add_constants(module, "CELLS_CONSTANTS", CELLS_CONSTANTS, COUNT(CELLS_CONSTANTS)) < 0)
+        add_constants(module, "CELLS_CONSTANTS", CELLS_CONSTANTS, COUNT(CELLS_CONSTANTS)) < 0 ||
+        add_constants(module, "TOGETHER_CONSTANTS", TOGETHER_CONSTANTS, COUNT(TOGETHER_CONSTANTS)) < 0 ||
+        add_address(module, "CONTROL", advance_callback()) < 0 || add_address(module, "CLOCK", advance_clock()) < 0)
         return NULL;
     return module;
 }

@@ -5,25 +5,23 @@
 
 #include "linear.h"
 
-void sensor_sense(const Sensor *sensor, const SensorConstants *constants, Rows carried, intptr_t slot, intptr_t n)
+void sensor_sense(
+    const Sensor *sensor, const SensorConstants *constants, const double load[6], intptr_t slot, intptr_t cell)
 {
     const intptr_t slots = (intptr_t)constants->max_delay, noise_rows = (intptr_t)constants->noise_rows;
-    for (intptr_t cell = 0; cell < n; cell++) {
-        const double *load = numbers(carried, cell);
-        double *history = numbers(sensor->history, cell), *out = numbers(sensor->sensed, cell);
-        int64_t *tick = integer(sensor->tick, cell);
-        for (intptr_t k = 0; k < slots; k++)
-            if (k == slot || *tick == 0)
-                memcpy(history + 6 * k, load, 6 * sizeof *load);
-        intptr_t past = (slot - (intptr_t)*integer(sensor->delay, cell) + 1) % slots;
-        const double *felt = history + 6 * (past < 0 ? past + slots : past);
-        const float *noise = singles(sensor->noise, cell) + 6 * (*tick % noise_rows);
-        const double *bias = numbers(sensor->bias, cell), *drift = numbers(sensor->drift, cell);
-        const double warmed = fmin((double)*tick, constants->drift_ticks);
-        for (int k = 0; k < 6; k++)
-            out[k] = felt[k] + noise[k] + bias[k] + drift[k] * warmed;
-        *tick += 1;
-    }
+    double *history = numbers(sensor->history, cell), *out = numbers(sensor->sensed, cell);
+    int64_t *tick = integer(sensor->tick, cell);
+    for (intptr_t k = 0; k < slots; k++)
+        if (k == slot || *tick == 0)
+            memcpy(history + 6 * k, load, 6 * sizeof *load);
+    intptr_t past = (slot - (intptr_t)*integer(sensor->delay, cell) + 1) % slots;
+    const double *felt = history + 6 * (past < 0 ? past + slots : past);
+    const float *noise = singles(sensor->noise, cell) + 6 * (*tick % noise_rows);
+    const double *bias = numbers(sensor->bias, cell), *drift = numbers(sensor->drift, cell);
+    const double warmed = fmin((double)*tick, constants->drift_ticks);
+    for (int k = 0; k < 6; k++)
+        out[k] = felt[k] + noise[k] + bias[k] + drift[k] * warmed;
+    *tick += 1;
 }
 
 /* `ForceTorqueSensor._gravity` */
@@ -57,25 +55,23 @@ void sensor_unzeroed(const Sensor *sensor, const SensorConstants *constants, Row
     }
 }
 
-void sensor_compensate(const Sensor *sensor, const SensorConstants *constants, Rows sensed, Rows rotation, intptr_t n)
+void sensor_compensate(
+    const Sensor *sensor, const SensorConstants *constants, const double reading[6], const double turned[9], intptr_t cell)
 {
-    for (intptr_t cell = 0; cell < n; cell++) {
-        const double *reading = numbers(sensed, cell), *turned = numbers(rotation, cell);
-        const double *zero = numbers(sensor->zero, cell);
-        double *raw = numbers(sensor->raw, cell), *average = numbers(sensor->average, cell);
-        double gravity[6], own[6];
-        int saturated = 0;
-        for (int k = 0; k < 6; k++) {
-            saturated |= fabs(reading[k]) >= constants->range[k];
-            raw[k] = within(reading[k], constants->range[k]);
-        }
-        *truth(sensor->saturated, cell) = (unsigned char)saturated;
-        gravity_of(constants, turned, gravity);
-        for (int k = 0; k < 6; k++) {
-            own[k] = raw[k] - gravity[k];
-            average[k] += (own[k] - average[k]) / constants->zero_ticks;
-            own[k] -= zero[k];
-        }
-        at_tcp(constants, turned, own, numbers(sensor->wrench, cell));
+    const double *zero = numbers(sensor->zero, cell);
+    double *raw = numbers(sensor->raw, cell), *average = numbers(sensor->average, cell);
+    double gravity[6], own[6];
+    int saturated = 0;
+    for (int k = 0; k < 6; k++) {
+        saturated |= fabs(reading[k]) >= constants->range[k];
+        raw[k] = within(reading[k], constants->range[k]);
     }
+    *truth(sensor->saturated, cell) = (unsigned char)saturated;
+    gravity_of(constants, turned, gravity);
+    for (int k = 0; k < 6; k++) {
+        own[k] = raw[k] - gravity[k];
+        average[k] += (own[k] - average[k]) / constants->zero_ticks;
+        own[k] -= zero[k];
+    }
+    at_tcp(constants, turned, own, numbers(sensor->wrench, cell));
 }

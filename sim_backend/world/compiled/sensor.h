@@ -1,4 +1,4 @@
-/* sensor.py: one reading of n force/torque sensors, in the two steps of `ForceTorqueSensor.read`. */
+/* sensor.py: one reading of a force/torque sensor, in the two steps of `ForceTorqueSensor.read`. */
 #ifndef SENSOR_H
 #define SENSOR_H
 
@@ -40,13 +40,15 @@ typedef struct {
     SENSOR_VECTORS(AS_VECTOR)
 } SensorConstants;
 
-/* `sense`: from the true load on the flange (n, 6) to `sensed`; `slot` is that of this reading. */
-void sensor_sense(const Sensor *sensor, const SensorConstants *constants, Rows carried, intptr_t slot, intptr_t n);
+/* `sense`: from the true load on the flange to `sensed`; `slot` is that of this reading. */
+void sensor_sense(
+    const Sensor *sensor, const SensorConstants *constants, const double load[6], intptr_t slot, intptr_t cell);
 
-/* The latest reading as `wrench` without any zero, into rows (n, 6). */
+/* The latest readings as `wrench` without any zero, into rows (n, 6). */
 void sensor_unzeroed(const Sensor *sensor, const SensorConstants *constants, Rows rotation, Rows out, intptr_t n);
 
-/* From what was sensed (n, 6) and the flange's orientation (n, 3, 3) to `raw`, `wrench` and `saturated`. */
-void sensor_compensate(const Sensor *sensor, const SensorConstants *constants, Rows sensed, Rows rotation, intptr_t n);
+/* From what was sensed and the flange's orientation to `raw`, `wrench` and `saturated`. */
+void sensor_compensate(
+    const Sensor *sensor, const SensorConstants *constants, const double reading[6], const double turned[9], intptr_t cell);
 
 #endif

@@ -221,7 +221,7 @@ async def test_10_a_payload_of_twice_the_weight_is_refused_by_the_joints_before_
 
         def heavier(cells: np.ndarray, tasks: object) -> None:
             reset(cells, tasks)  # type: ignore[arg-type]
-            cell.world._mass[0, cell.world._scene.gripper_body] += 0.97
+            cell.world._layout.mass[0, cell.world._scene.gripper_body] += 0.97
             cell.world.sensor._average[0, 2] += 0.97 * 9.81
 
         cell.world.reset = heavier  # type: ignore[method-assign]

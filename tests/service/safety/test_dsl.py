@@ -124,6 +124,20 @@ def test_the_threshold_is_on_the_magnitude_of_each_component() -> None:
                 assert step(DslParameters(), state, START, above, NO_ACTION)[1].edge
 
 
+def test_a_change_of_exactly_the_threshold_is_no_edge() -> None:
+    parameters = DslParameters(delta_f=(0.125,) * 6)
+    state, _ = in_contact(parameters, 6.25)
+    assert not step(parameters, state, START, wrench(7.5), NO_ACTION)[1].edge
+    assert step(parameters, state, START, wrench(7.75), NO_ACTION)[1].edge
+
+
+def test_an_edge_of_one_element_of_a_batch_is_not_its_neighbours() -> None:
+    positions, none = np.array([START, START]), np.zeros((2, 4))
+    state, _ = step(DslParameters(), DslState.begin((2,)), positions, np.array([wrench(6.0)] * 2), none)
+    out = step(DslParameters(), state, positions, np.array([wrench(6.0), wrench(6.0, fx=4.0)]), none)[1]
+    assert out.edge.tolist() == [False, True]
+
+
 def test_equations_5_and_6_hold_the_lock_where_no_edge_is_felt() -> None:
     state, _ = in_contact(DslParameters())
     moved = START + np.array([3e-3, 0, 4e-3])

@@ -176,6 +176,7 @@ def test_what_is_seen_is_what_the_deployed_service_makes_of_the_same_samples() -
         advance()
         samples.append(world.sensor.wrench[1].copy())
 
+    world._together = None  # every tick is looked at
     world.tick = tick
 
     def observe() -> np.ndarray:

@@ -103,6 +103,7 @@ def test_the_cell_and_training_observe_lock_and_command_the_same_at_every_tick_a
         advance()
         shadow.tick()
 
+    cells.world._together = None  # every tick is looked at
     cells.world.tick = tick  # pyright: ignore[reportAttributeAccessIssue]
     hidden = POLICY.initial_hidden((1,))
     pressed = 0

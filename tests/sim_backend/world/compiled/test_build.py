@@ -91,13 +91,13 @@ def test_arrays_that_do_not_fit_are_refused_before_anything_is_written() -> None
     ):
         given = [*good[:place], bad, *good[place + 1 :]]
         with pytest.raises(TypeError, match=r"array|layout"):
-            tick.lead(arm._arrays, arm._constants, *given)  # type: ignore[arg-type]
+            tick.lead(*arm.bound, *given)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="tuple"):
-        tick.lead(arm._arrays[:-1], arm._constants, *good)  # type: ignore[arg-type]
+        tick.lead(arm.bound[0][:-1], arm.bound[1], *good)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="constants"):
-        tick.lead(arm._arrays, arm._constants[1:], *good)  # type: ignore[arg-type]
+        tick.lead(arm.bound[0], arm.bound[1][1:], *good)  # type: ignore[arg-type]
     frozen = np.zeros((2, 6))
     frozen.setflags(write=False)
     with pytest.raises(TypeError, match="read-only"):
-        tick.follow(arm._arrays, arm._constants, arm._jacobians, frozen)
+        tick.follow(*arm.bound, arm._jacobians, frozen)
     assert (arm._age == before).all()

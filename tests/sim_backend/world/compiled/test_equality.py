@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_backend.world import compiled, kinematics, scene
+from sim_backend.world import compiled, engine, kinematics, scene
 from sim_backend.world.arm import PROTECTIVE_ERROR_RAD, ArmController
 from sim_backend.world.conditions import draw
 from sim_backend.world.joint_sense import JointSense
@@ -36,8 +36,9 @@ SIZES = (1, 7, 64, 256)
 TARGET_TICKS = 20
 
 
-def play(worlds: tuple[World, World], ticks: int, seed: int = 0) -> set[tuple[int, int]]:
-    """Play the same in two worlds and compare them after each tick; return the programs and reasons seen.
+def play(worlds: tuple[World, World], ticks: int, seed: int = 0, together: int = 1) -> set[tuple[int, int]]:
+    """Play the same in two worlds, `together` ticks at a time, and compare them after each; return the programs and
+    reasons seen.
 
     The arms search about their holes in contact. They are stopped with and without sight, pushed, placed anew and
     engaged again; holes slip; targets are bad or stay out.
@@ -45,7 +46,8 @@ def play(worlds: tuple[World, World], ticks: int, seed: int = 0) -> set[tuple[in
     n = worlds[0].n
     rng = np.random.default_rng(seed)
     everyone, seen = np.arange(n), set[tuple[int, int]]()
-    for tick in range(ticks):
+    readings = np.zeros((2, together, n, 6))
+    for tick in range(0, ticks, together):
         if tick % TARGET_TICKS == 0:
             fate = rng.uniform(size=n)
             step, turn = rng.normal(size=(n, 3)) * [1e-3, 1e-3, 2e-3], rng.normal(size=(n, 4)) * 4e-3
@@ -70,21 +72,25 @@ def play(worlds: tuple[World, World], ticks: int, seed: int = 0) -> set[tuple[in
                     above = world.hole_position[anew] + [0.0, 0.0, 3e-3]
                     world.place(anew, above, world.hole_yaw[anew])
                     world.zero_ft(anew)
-        for world in worlds:
-            world.tick()
+        for world, row in zip(worlds, readings, strict=True):
+            if together == 1:
+                world.tick()
+            else:
+                world.advance(row)
         assert_equal(of_world(worlds[0]), of_world(worlds[1]), f"tick {tick} of {n} cells")
+        np.testing.assert_array_equal(*readings)
         seen |= set(zip(worlds[0].arm.program.tolist(), worlds[0].arm.stop_reason.tolist(), strict=True))
     return seen
 
 
-def start(n: int, ticks: int) -> set[tuple[int, int]]:
-    worlds = twins(lambda: World(n))
+def start(n: int, ticks: int, together: int = 1) -> set[tuple[int, int]]:
+    worlds = twins(lambda: World(n, threads=2))
     everyone = np.arange(n)
     for world in worlds:
         world.reset(everyone, [Task(seed, randomise_plant=bool(seed % 2)) for seed in range(n)])
         world.place(everyone, world.hole_position + np.array([0.0, 0.0, 2e-3]), world.hole_yaw)
         world.zero_ft(everyone)
-    return play(worlds, ticks, seed=n)
+    return play(worlds, ticks, n, together)
 
 
 @pytest.mark.parametrize(("n", "ticks"), [(1, 1200), (7, 500), (64, 120), (256, 45)])
@@ -93,11 +99,19 @@ def test_worlds_are_the_same_bit_for_bit(n: int, ticks: int) -> None:
     assert {Program.ENGAGED, Program.STOPPING} <= programs
 
 
+@pytest.mark.parametrize(("n", "ticks", "together"), [(1, 1200, 20), (7, 500, 10), (64, 120, 20), (256, 40, 20)])
+def test_ticks_in_one_call_are_the_same_bit_for_bit(n: int, ticks: int, together: int) -> None:
+    assert engine.obstacle() == ""
+    programs = {program for program, _ in start(n, ticks, together)}
+    assert {Program.ENGAGED, Program.STOPPING} <= programs
+
+
 @pytest.mark.nightly
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("n", SIZES)
-def test_worlds_are_the_same_bit_for_bit_over_a_million_ticks_of_a_cell(n: int) -> None:
-    seen = start(n, 1_000_000 // n)
+@pytest.mark.parametrize("together", [1, TARGET_TICKS])
+def test_worlds_are_the_same_bit_for_bit_over_a_million_ticks_of_a_cell(n: int, together: int) -> None:
+    seen = start(n, 1_000_000 // n, together)
     assert {program for program, _ in seen} == set(Program)
     assert {
         StopReason.COMMAND,
