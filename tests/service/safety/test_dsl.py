@@ -415,6 +415,11 @@ def test_parameters_that_make_no_lock_are_refused_by_name(field: str, value: obj
         DslParameters(**{field: value})  # pyright: ignore
 
 
+def test_a_threshold_may_be_the_clip_and_the_release_the_contacts_own() -> None:
+    parameters = DslParameters(contact_threshold=1.0, release_threshold=1.0)
+    assert in_contact(parameters, 10.0)[1].contact
+
+
 def test_the_papers_constants_are_the_defaults() -> None:
     parameters = DslParameters()
     assert parameters.delta_f == (0.15, 0.15, 0.45, 0.1, 0.1, 0.2)
