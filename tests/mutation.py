@@ -67,6 +67,11 @@ EXPLAINED = (
         r"self\._(episode|seq|standing|repeats) = .*→",
         "reset",
     ),
+    Rule("the first sample sets it, whatever it was", r"self\._(since|felt|equal)\b.* = (\[1\] \* 6|\[\]|0) →", "init"),
+    Rule(
+        "a damping ratio or a difference that meets its limit to the last bit", r"_DAMPING_RATIO:|apart <= self\._limit"
+    ),
+    Rule("a delay in a text", r"delay_s / 1e3"),
     Rule(
         "a leg sets it before it reads it",
         r"self\._(from_m|rest_n) = 0\.0 →",

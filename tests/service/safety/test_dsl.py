@@ -65,6 +65,21 @@ def test_a_search_is_bounded_by_depth_and_holds_the_tip_there() -> None:
     np.testing.assert_array_equal(out.position[2], position[2])
 
 
+def test_a_search_may_reach_its_depth() -> None:
+    parameters = DslParameters(search_depth_m=1 / 512, seek_step_m=1 / 512)
+    assert not step(parameters, DslState.begin(), START, wrench(), NO_ACTION)[1].search_depth_exceeded
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_state_and_output_have_the_types_that_they_document(mode: LockMode) -> None:
+    begun = DslState.begin((2,))
+    state, out = step(DslParameters(mode=mode), begun, np.array([START, START]), np.zeros((2, 6)), np.zeros((2, 4)))
+    for one in (begun, state):
+        assert (one.phase.dtype, one.seek_steps.dtype) == (np.int32, np.int32)
+        assert (one.z_lock.dtype, one.z_contact0.dtype) == (np.float64, np.float64)
+    assert out.phase.dtype == np.int32
+
+
 def test_a_search_is_bounded_by_time() -> None:
     parameters = DslParameters(search_steps=3)
     state = DslState.begin()
@@ -398,6 +413,11 @@ def test_papers_lock_bounds_the_depth_of_every_command(
 def test_parameters_that_make_no_lock_are_refused_by_name(field: str, value: object) -> None:
     with pytest.raises(ValueError, match=field):
         DslParameters(**{field: value})  # pyright: ignore
+
+
+def test_a_threshold_may_be_the_clip_and_the_release_the_contacts_own() -> None:
+    parameters = DslParameters(contact_threshold=1.0, release_threshold=1.0)
+    assert in_contact(parameters, 10.0)[1].contact
 
 
 def test_the_papers_constants_are_the_defaults() -> None:

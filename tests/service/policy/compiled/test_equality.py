@@ -1,7 +1,7 @@
 """The compiled step and that of numpy give the same numbers, bit for bit, whatever they are given."""
 
 from collections import defaultdict
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -120,6 +120,26 @@ def test_at_the_thresholds_themselves_both_decide_the_same(name: str) -> None:
         state.target_position[...] = seen.position + np.array([LIMITS.leash_m, 0.0, 0.0])
         action = draws.action()
         assert_the_same(fast.act(state, seen, action), plain.act(state, seen, action))
+
+
+def test_at_the_bounds_themselves_both_decide_the_same() -> None:
+    """Everything is at zero, so a change of the command is the action's limit, without rounding."""
+    limits = BoundsParameters(0.1, 8e-3, 0.1, 0.08, 1.0, 8e-3, 0.1, (-1, -8e-3, -8e-3), (8e-3, 1, 1), 0.0, 0.1, 0.05)
+    made = contract(lock=DslParameters(mode="off"))
+    entries = [entry.model_copy(update={"limit": 0.1 if entry.unit == "rad" else 8e-3}) for entry in made.action]
+    fast, plain = pair(made.model_copy(update={"action": tuple(entries)}), limits)
+    steps = [-1.0, np.nextafter(-1.0, 0.0), 0.0, 1.0, np.nextafter(1.0, 0.0)]
+    action = np.stack(np.meshgrid(steps, steps, steps, steps), axis=-1).reshape(-1, 4)
+    draws = Draws(7, (len(action),))
+    zero = replace(draws.seen(), position=np.zeros((len(action), 3)), yaw=np.zeros(len(action)))
+    state = plain.begin(zero.position, zero.yaw)
+    for tilt in (0.05, np.nextafter(0.05, 0.0), np.nextafter(0.05, 1.0)):
+        seen = replace(zero, tilt=np.tile([tilt, 0.0], (len(action), 1)))
+        (_, decided), (_, agreed) = fast.act(state, seen, action), plain.act(state, seen, action)
+        assert_the_same(decided, agreed)
+        along_one = (np.abs(action).sum(-1) == 1.0) & (action[:, 0] == 0.0)  # a turn is rounded
+        for flag in ("leash", "step", "speed", "workspace", "yaw_range"):
+            assert not getattr(decided.bounded, flag)[along_one].any(), flag
 
 
 def test_poses_are_the_same() -> None:

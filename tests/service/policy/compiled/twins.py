@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from service.policy import compiled
@@ -126,13 +127,13 @@ class Draws:
         self.shape = shape
         self._odd = odd
 
-    def normal(self, *tail: int, mean: float = 0.0, spread: float = 1.0) -> FloatArray:
+    def normal(self, *tail: int, mean: npt.ArrayLike = 0.0, spread: float = 1.0) -> FloatArray:
         size = (*self.shape, *tail)
         usual = self.rng.normal(mean, spread, size)
         return np.where(self.rng.random(size) < self._odd, self.rng.choice(ODD, size), usual)
 
     def place(self, spread: float) -> FloatArray:
-        return np.array([0.4, 0.0, 0.2]) + self.normal(3, spread=spread)
+        return self.normal(3, mean=[0.4, 0.0, 0.2], spread=spread)
 
     def seen(self, samples: int = 6) -> Seen:
         window = np.moveaxis(self.normal(samples, 6, spread=float(self.rng.choice([0.1, 3.0, 8.0]))), -2, 0)
