@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.stands.pressed_arm import ContactForce
-from sim_backend import commands as command
+from sim_backend import commands
+from sim_backend.ur_controller import assembly
 from sim_backend.ur_controller.builtins import standard_builtins
 from sim_backend.ur_controller.controller import Controller
 from wire.rtde.modes import RuntimeState
@@ -58,9 +59,9 @@ class RecordedController(Controller):
 
 
 def main(output: Path, options: Sequence[str]) -> None:
-    command.make_controller = functools.partial(RecordedController, make_builtins=standard_builtins)
+    assembly.make_controller = functools.partial(RecordedController, make_builtins=standard_builtins)
     try:
-        command.app([*options])
+        commands.app([*options])
     finally:
         np.save(output, np.array(RecordedController.rows))
 
