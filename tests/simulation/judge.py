@@ -61,6 +61,7 @@ class Judge:
         self._held_s = 0.0
         self._may_lose = False
         self._taken_s = -1.0
+        self._state_lost = False
         self._killed_id: str | None = None
         self._unrecorded: set[str | None] = set()
         self._began_s = 0.0
@@ -90,8 +91,9 @@ class Judge:
         now, cell = self.universe.loop.time(), self.universe.cell
         if kind in ("ledger moved", "state deleted"):
             self._taken_s = now
-            if cell is None:
+            if cell is None or not self.universe.processes["control"].alive:
                 self._unrecorded.add(self._killed_id)
+                self._state_lost |= kind == "state deleted"
         elif kind in ("kill", "power cut") and cell is not None:
             self._killed_id = cell.runs.active_id
             if now - self._taken_s < UNSEEN_S:
@@ -167,7 +169,11 @@ class Judge:
         before, restarted = self._latch, cell.journal.epoch != self._epoch
         self._epoch = cell.journal.epoch
         self._latch = latch = cell.journal.latch
-        if before is not None and latch is None:
+        forgets = (
+            restarted and self._state_lost
+        )  # latch and ledger are both lost, and nobody saw it: a documented limit
+        self._state_lost &= not restarted
+        if before is not None and latch is None and not forgets:
             settled = now - self._latched_s > SETTLED_S and not self.universe.disk.faulty
             resets = [
                 answer

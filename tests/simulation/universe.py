@@ -207,9 +207,7 @@ class Universe:
         if name == "control":
             self.cell = None
         if name == "api":
-            self._app = None
-            for connection in list(self._connections):
-                connection.break_off()
+            self._break_off()
 
     def terminate(self, name: str) -> None:
         """Send SIGTERM to a process; the world's program, which would obey, is left out."""
@@ -288,7 +286,13 @@ class Universe:
         self._app = app
         self.note("api serves")
         await life
+        self._break_off()
+
+    def _break_off(self) -> None:
+        """Close the connections of an API that has ended, as the host does."""
         self._app = None
+        for connection in list(self._connections):
+            connection.break_off()
 
     def _on_loop_error(self, _loop: Any, context: dict[str, Any]) -> None:
         self.note(f"loop error: {context.get('message')} {context.get('exception')!r}")
