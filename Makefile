@@ -20,7 +20,7 @@ RUNTIME := $(VENV)/.installed-runtime
 TRAINING := $(VENV)/.installed-training
 DEV := $(VENV)/.installed-dev
 DOCS := $(VENV)/.installed-docs
-INSTALLED_FROM := pyproject.toml constraints.txt setup.py $(wildcard sim_backend/world/compiled/*.[ch] service/policy/compiled/*.[ch])
+INSTALLED_FROM := pyproject.toml constraints.txt setup.py $(wildcard sim_backend/world/compiled/*.[ch] service/policy/compiled/*.[ch] wire/*.h)
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: help

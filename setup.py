@@ -14,7 +14,7 @@ from setuptools import Extension, setup
 MUJOCO = find_spec("mujoco")
 if MUJOCO is None or MUJOCO.origin is None:
     raise ModuleNotFoundError("the compiled tick is built against the headers of mujoco, which is not installed")
-INCLUDED = [numpy.get_include(), str(Path(MUJOCO.origin).parent / "include")]
+INCLUDED = ["wire", numpy.get_include(), str(Path(MUJOCO.origin).parent / "include")]
 DIGEST = runpy.run_path("wire/extension.py")["digest"]
 
 
@@ -23,7 +23,7 @@ def extension(folder: str, name: str) -> Extension:
     return Extension(
         f"{folder.replace('/', '.')}.{name}",
         sorted(glob(f"{folder}/*.c")),
-        depends=sorted(glob(f"{folder}/*.h")),
+        depends=sorted(glob(f"{folder}/*.h") + glob("wire/*.h")),
         include_dirs=INCLUDED,
         define_macros=[("Py_LIMITED_API", "0x030B0000"), ("SOURCES", f'"{DIGEST(Path(folder))}"')],
         # as numpy's: one rounding for each operation

@@ -53,7 +53,10 @@ EXPLAINED = (
     Rule("the value, limit and text of a verdict are for people; its code decides", r"Verdict\(|^[^=]*→ None,$|→ \)?$"),
     Rule("the same verdict with other numbers or another text for people", r"^(FaultCode\.\w+), .*→ \1, "),
     Rule("all rows are alike whichever they are compared with", r"window == window\[1\]"),
-    Rule("a corner has three numbers, as its type says", r"strict=|workspace_upper, \)"),
+    Rule(
+        "sequences that are zipped have equal lengths, as their types say",
+        r"→ .*strict=(None|False)|strict=True.* → (?!.*strict=)",
+    ),
     Rule("a unit in a text", r"\* 1001\.0"),
     Rule("a sum is finite only where every term is, whatever the signs", r"isfinite\(f[xyz]"),
     Rule("the default of an empty sequence, which no caller passes", r"default="),
@@ -69,7 +72,8 @@ EXPLAINED = (
     ),
     Rule("the first sample sets it, whatever it was", r"self\._(since|felt|equal)\b.* = (\[1\] \* 6|\[\]|0) →", "init"),
     Rule(
-        "a damping ratio or a difference that meets its limit to the last bit", r"_DAMPING_RATIO:|apart <= self\._limit"
+        "a damping ratio or a difference that meets its limit to the last bit",
+        r"→ .*<= (FREE|CONTACT)_DAMPING_RATIO|→ .*apart <= self\._limit",
     ),
     Rule("a delay in a text", r"delay_s / 1e3"),
     Rule(

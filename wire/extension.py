@@ -1,18 +1,25 @@
-"""Optional compiled extensions: identity of their C sources, and loading.
+"""Optional compiled extensions: identity of their C sources, loading, and the constants that they take.
 
 `setup.py` runs this file by itself; it imports nothing of the project.
 """
 
 import hashlib
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+import numpy.typing as npt
+
+SHARED = Path(__file__).parent
+"""Folder of the headers that all extensions include."""
+
 
 def digest(folder: Path) -> str:
-    """Return the SHA-256 of the C files of a folder, names and content in sorted order."""
+    """Return the SHA-256 of the C files of a folder and of the shared headers, names and content in sorted order."""
     found = hashlib.sha256()
-    for path in sorted(folder.glob("*.[ch]")):
+    for path in (*sorted(folder.glob("*.[ch]")), *sorted(SHARED.glob("*.h"))):
         data = path.read_bytes()
         found.update(f"{path.name} {len(data)}\n".encode() + data)
     return found.hexdigest()
@@ -35,3 +42,36 @@ def load(name: str, folder: Path) -> tuple[ModuleType | None, str]:
     if digest(folder) != found.SOURCES:
         return None, "it was built from other sources"
     return found, ""
+
+
+def constants(sizes: Mapping[str, int], found: Mapping[str, npt.ArrayLike]) -> npt.NDArray[np.float64]:
+    """Return constants one after another, in the order of `sizes`.
+
+    Args:
+        sizes: how many numbers the extension asks for of each constant.
+        found: the constants by name; others are left out.
+
+    Raises:
+        ValueError: a constant has another size.
+    """
+    parts = [np.atleast_1d(np.asarray(found[name], np.float64)) for name in sizes]
+    for part, (name, size) in zip(parts, sizes.items(), strict=True):
+        if part.shape != (size,):
+            raise ValueError(f"constant {name} has shape {part.shape}, the extension asks for {size} numbers")
+    return np.concatenate(parts)
+
+
+def describe(what: str, name: str, absence: str) -> str:
+    """Return a line that says whether the extension called `name` computes `what`.
+
+    Args:
+        what: for people.
+        name: for people.
+        absence: the reason why it does not, or "".
+    """
+    if not absence:
+        return f"{what}: compiled"
+    return (
+        f"{what}: numpy, slower; the {name} is not used, {absence}; "
+        "where a C compiler and Python's headers are installed, `make -B setup` builds it"
+    )

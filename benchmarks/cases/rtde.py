@@ -61,7 +61,7 @@ def measure(scale: float) -> Result:
         f"ur_rtde's CPU time; in a flood it decodes {median(ours.flood) / median(plain.flood):.2f} of a plain "
         "loop's packages.",
         figures=(
-            Figure("CPU of the client to ur_rtde", median(ours.share) / median(theirs.share), "times", 1.0),
+            Figure("CPU of the client to ur_rtde", median(ours.share) / median(theirs.share), "times", 0.5),
             Figure("CPU per package to a plain struct loop", median(plain.flood) / median(ours.flood), "times", 4.0),
         ),
         method=f"{len(VARIABLES)} variables, {count} rounds of {SPAN_S:g} s by turns, medians; each reader in a "

@@ -5,7 +5,6 @@ stages and faults; `training.environment.insertion` calls it and adds world and 
 """
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -63,17 +62,6 @@ class StepState:
     target_position: FloatArray
     target_yaw: FloatArray
     previous_action: FloatArray
-
-    def reset(self, mask: BoolArray, target_position: FloatArray, target_yaw: FloatArray) -> Self:
-        """Begin new episodes where `mask` (...) is True, with the given command in force; the others keep theirs."""
-        wide = mask[..., None]
-        return type(self)(
-            lock=self.lock.reset(mask),
-            memory=self.memory.reset(mask),
-            target_position=np.where(wide, target_position, self.target_position),
-            target_yaw=np.where(mask, target_yaw, self.target_yaw),
-            previous_action=np.where(wide, 0.0, self.previous_action),
-        )
 
 
 @dataclass(frozen=True, slots=True)

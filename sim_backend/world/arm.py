@@ -11,7 +11,7 @@ from sim_backend.world import compiled, kinematics, quaternion
 from sim_backend.world.compliance import Law, Reference, advance
 from sim_backend.world.linear import product
 from sim_backend.world.servo import JointServo
-from wire import pose
+from wire import extension, pose
 from wire.arrays import BoolArray, CellIndices, FloatArray
 from wire.law import ControlLimits
 from wire.records import TICK_S, Program, StopReason
@@ -394,4 +394,4 @@ class ArmController:
             "joint_step": _STEP,
             "tcp": self._offset,
         }
-        self.bound = compiled.arrays(tick.ARM, vars(self) | nested), compiled.constants(tick.ARM_CONSTANTS, constants)
+        self.bound = compiled.arrays(tick.ARM, vars(self) | nested), extension.constants(tick.ARM_CONSTANTS, constants)

@@ -12,6 +12,7 @@ import numpy as np
 from sim_backend.world import compiled, kinematics
 from sim_backend.world.linear import product
 from sim_backend.world.world import World
+from wire import extension
 from wire.arrays import FloatArray
 from wire.records import TICK_S
 
@@ -101,7 +102,7 @@ class JointSense:
             "com": payload_com_m,
             "point": point_m,
         }
-        return compiled.constants(tick.DRIVES_CONSTANTS, constants)
+        return extension.constants(tick.DRIVES_CONSTANTS, constants)
 
 
 def _solve(gram: FloatArray, moved: FloatArray) -> tuple[float, float, float] | None:

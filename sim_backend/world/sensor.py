@@ -12,6 +12,7 @@ from sim_backend.world import compiled
 from sim_backend.world.conditions import NOISE_ROWS, Episode
 from sim_backend.world.kinematics import GRAVITY_M_S2
 from sim_backend.world.linear import moment, product
+from wire import extension
 from wire.arrays import BoolArray, FloatArray
 from wire.records import TICK_S
 
@@ -193,7 +194,7 @@ class ForceTorqueSensor:
         self._weight = payload_kg * GRAVITY_M_S2
         self._com, self._tcp = np.array(payload_com_m, np.float64), np.array(tcp_offset_m, np.float64)
         if self._compiled is not None:
-            self._constants = compiled.constants(
+            self._constants = extension.constants(
                 self._compiled.SENSOR_CONSTANTS,
                 {
                     "max_delay": MAX_DELAY,

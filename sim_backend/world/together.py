@@ -13,6 +13,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from sim_backend.world import compiled
+from wire import extension
 from wire.arrays import FloatArray
 
 
@@ -43,7 +44,7 @@ class Together:
         self._batch = batch
         self._others = *arm, *cells
         self._arrays = compiled.arrays(tick.TOGETHER, mine)
-        self._constants = compiled.constants(tick.TOGETHER_CONSTANTS, constants)
+        self._constants = extension.constants(tick.TOGETHER_CONSTANTS, constants)
 
     def advance(self, sensor: compiled.Bound, slot: int, readings: FloatArray) -> None:
         """Run as many ticks as `readings` (ticks, n, 6) has rows; write the compensated readings there.

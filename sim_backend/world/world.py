@@ -20,7 +20,7 @@ from sim_backend.world.sensor import ForceTorqueSensor
 from sim_backend.world.servo import gains
 from sim_backend.world.telling import Telling
 from sim_backend.world.together import Together
-from wire import pose
+from wire import extension, pose
 from wire.arrays import BoolArray, CellIndices, FloatArray
 from wire.law import ControlLimits
 from wire.records import StopReason
@@ -94,7 +94,7 @@ class World:
         if self._compiled is not None:
             frames = {"estimate_ticks": ESTIMATE_TICKS, "camera_frames": CAMERA_FRAMES}
             self._arrays = compiled.arrays(self._compiled.CELLS, vars(self))
-            self._constants = compiled.constants(self._compiled.CELLS_CONSTANTS, frames)
+            self._constants = extension.constants(self._compiled.CELLS_CONSTANTS, frames)
             bodies, mine = (site, self._scene.gripper_body), (self._arrays, self._constants)
             engine.stop_timers()
             self._together = Together(self._compiled, batch, bodies, self.arm.bound, mine)

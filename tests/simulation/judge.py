@@ -91,7 +91,7 @@ class Judge:
         now, cell = self.universe.loop.time(), self.universe.cell
         if kind in ("ledger moved", "state deleted"):
             self._taken_s = now
-            if cell is None or not self.universe.processes["control"].alive:
+            if not self.universe.processes["control"].alive:
                 self._unrecorded.add(self._killed_id)
                 self._state_lost |= kind == "state deleted"
         elif kind in ("kill", "power cut") and cell is not None:

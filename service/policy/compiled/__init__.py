@@ -89,9 +89,4 @@ rotvec_from_yaw = pose.rotvec_from_yaw if step is None else step.rotvec_from_yaw
 
 def describe() -> str:
     """Return a line that says which implementation computes policy steps."""
-    if step is not None:
-        return "policy steps: compiled"
-    return (
-        f"policy steps: numpy, slower; the compiled step is not used, {absence}; "
-        "where a C compiler and Python's headers are installed, `make -B setup` builds it"
-    )
+    return extension.describe("policy steps", "compiled step", absence)

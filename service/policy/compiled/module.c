@@ -2,7 +2,6 @@
 #define IMPORTS_ARRAYS
 #include "calls.h"
 #include "functions.h"
-#include "loading.h"
 #include "pose.h"
 
 #define AS_FIELD(name, kind, size) {#name, kind, size, 0},
@@ -98,7 +97,7 @@ PyMODINIT_FUNC PyInit__step(void)
 {
     import_array();
     PyObject *numpy = PyImport_ImportModule("numpy");
-    if (numpy == NULL || load_functions(numpy) < 0 || (matmul = PyObject_GetAttrString(numpy, "matmul")) == NULL)
+    if (numpy == NULL || load_functions() < 0 || (matmul = PyObject_GetAttrString(numpy, "matmul")) == NULL)
         return NULL;
     PyObject *module = PyModule_Create(&definition);
     if (module == NULL || PyModule_AddStringConstant(module, "SOURCES", SOURCES) < 0 ||

@@ -1,6 +1,5 @@
 """Chooses between the compiled policy step and the one of numpy."""
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -13,7 +12,8 @@ from service.policy.contract import PolicyContract
 from service.policy.observation import ObservationState, uses_estimate
 from service.policy.step import Decision, PolicyStep, Seen, StepState
 from service.safety import bounds, dsl
-from wire.arrays import BoolArray, Float32Array, FloatArray
+from wire import extension
+from wire.arrays import BoolArray, Float32Array
 from wire.modes import LockMode
 
 
@@ -47,10 +47,10 @@ class CompiledStep(PolicyStep):
         self._columns = self.builder.columns
         self._constants = np.concatenate(
             [
-                _numbers(step.LOCK_CONSTANTS, _of_lock(contract.dsl)),
-                _numbers(step.BOUNDS_CONSTANTS, asdict(limits)),
-                _numbers(step.ACTION_CONSTANTS, self.actions.constants()),
-                _numbers(step.OBSERVATION_CONSTANTS, _of_observation(contract)),
+                extension.constants(step.LOCK_CONSTANTS, _of_lock(contract.dsl)),
+                extension.constants(step.BOUNDS_CONSTANTS, asdict(limits)),
+                extension.constants(step.ACTION_CONSTANTS, self.actions.constants()),
+                extension.constants(step.OBSERVATION_CONSTANTS, _of_observation(contract)),
             ]
         )
 
@@ -109,16 +109,3 @@ def _of_observation(contract: PolicyContract) -> dict[str, npt.ArrayLike]:
         "window_samples": contract.wrench_window_ticks,
         "wrench_clip": [contract.dsl.force_clip_n] * 3 + [contract.dsl.torque_clip_nm] * 3,
     }
-
-
-def _numbers(sizes: Mapping[str, int], found: Mapping[str, npt.ArrayLike]) -> FloatArray:
-    """Return constants one after another, in the order of `sizes`.
-
-    Raises:
-        ValueError: a constant has another size.
-    """
-    parts = [np.atleast_1d(np.asarray(found[name], np.float64)) for name in sizes]
-    for part, (name, size) in zip(parts, sizes.items(), strict=True):
-        if part.shape != (size,):
-            raise ValueError(f"constant {name} has shape {part.shape}, the extension asks for {size} numbers")
-    return np.concatenate(parts)

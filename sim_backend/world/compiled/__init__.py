@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-import numpy as np
 import numpy.typing as npt
 
 from wire import extension
@@ -120,19 +119,6 @@ def arrays(names: tuple[str, ...], found: Mapping[str, Any]) -> Arrays:
     return tuple(found[name] if name in found else found[f"_{name}"] for name in names)
 
 
-def constants(sizes: Mapping[str, int], found: Mapping[str, npt.ArrayLike]) -> FloatArray:
-    """Return constants one after another, in the order of `sizes`.
-
-    Raises:
-        ValueError: a constant has another size.
-    """
-    parts = [np.atleast_1d(np.asarray(found[name], np.float64)) for name in sizes]
-    for part, (name, size) in zip(parts, sizes.items(), strict=True):
-        if part.shape != (size,):
-            raise ValueError(f"constant {name} has shape {part.shape}, the extension asks for {size} numbers")
-    return np.concatenate(parts)
-
-
 def load(name: str = f"{__name__}._tick") -> tuple[Tick | None, str]:
     """Return the extension of that name and "", or None and the reason why it is not used."""
     found, reason = extension.load(name, Path(__file__).parent)
@@ -145,9 +131,4 @@ tick, absence = load()
 
 def describe() -> str:
     """Return a line that says which implementation computes the ticks of worlds made from now on."""
-    if tick is not None:
-        return "simulated ticks: compiled"
-    return (
-        f"simulated ticks: numpy, slower; the compiled tick is not used, {absence}; "
-        "where a C compiler and Python's headers are installed, `make -B setup` builds it"
-    )
+    return extension.describe("simulated ticks", "compiled tick", absence)

@@ -74,6 +74,15 @@ def test_a_file_of_c_that_changes_changes_the_digest(tmp_path: Path) -> None:
     assert extension.digest(tmp_path) != extension.digest(FOLDER)
 
 
+def test_a_shared_header_that_changes_changes_the_digest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = extension.digest(FOLDER)
+    shutil.copy(extension.SHARED / "loops.h", tmp_path)
+    monkeypatch.setattr(extension, "SHARED", tmp_path)
+    assert extension.digest(FOLDER) == before
+    (tmp_path / "loops.h").write_text("/* other loops */\n")
+    assert extension.digest(FOLDER) != before
+
+
 @needs_the_extension
 def test_arrays_that_do_not_fit_are_refused_before_anything_is_written() -> None:
     world = World(2)
