@@ -179,7 +179,7 @@ class _Keeper:
             versions=provenance.versions(),
             workers=self._workers,
             episodes=len(episodes) + sum(s.episodes for s in mine),
-            wall_s=round(now - self._last + sum(s.wall_s for s in mine), 1),
+            wall_s=round(now - self._last + sum(s.wall_s for s in mine), 3),
         )
         self._last = now
         block = block.with_episodes(episodes).model_copy(update={"sessions": (*earlier, session)})
