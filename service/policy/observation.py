@@ -7,7 +7,7 @@ Scaling and clipping happen inside the policy's graph, not here.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal, Protocol, Self
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -91,16 +91,6 @@ class ObservationState:
     hole_mean: FloatArray
     hole_count: IntArray
     steps: IntArray
-
-    def reset(self, mask: npt.ArrayLike) -> Self:
-        """Forget the episode where `mask` (...) is True."""
-        keep = ~np.asarray(mask, np.bool_)
-        return type(self)(
-            frames=self.frames * keep[..., None, None],
-            hole_mean=self.hole_mean * keep[..., None],
-            hole_count=(self.hole_count * keep).astype(np.int32),
-            steps=(self.steps * keep).astype(np.int32),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,16 +298,12 @@ class ObservationBuilder:
             steps=np.zeros(shape, np.int32),
         )
 
-    def build(
-        self, state: ObservationState, measurement: Measurement, mask: npt.ArrayLike | None = None
-    ) -> tuple[ObservationState, Float32Array]:
+    def build(self, state: ObservationState, measurement: Measurement) -> tuple[ObservationState, Float32Array]:
         """Build one observation; call it once per policy step.
 
         Args:
             state: from `begin` or the last call.
             measurement: present measurement.
-            mask: (...) bool, elements that take this step. The others keep their memory, and their rows of the result
-                have no meaning. Vectorised environments use it to reset a few elements.
 
         Returns:
             The next memory, and (..., size) float32: entries in order, each with its history, oldest frame first. The
@@ -343,15 +329,8 @@ class ObservationBuilder:
         first = np.asarray(state.steps == 0)[..., None, None]
         newest = frame[..., None, :]
         frames = np.where(first, newest, np.concatenate((state.frames[..., 1:, :], newest), axis=-2))
-        steps = state.steps + 1
         observation = frames.reshape(*frames.shape[:-2], -1)[..., self.columns]
-        if mask is not None:
-            takes = np.asarray(mask, np.bool_)
-            frames = np.where(takes[..., None, None], frames, state.frames)
-            hole_mean = np.where(takes[..., None], hole_mean, state.hole_mean)
-            hole_count = np.where(takes, hole_count, state.hole_count)
-            steps = np.where(takes, steps, state.steps)
-        return ObservationState(frames, hole_mean, hole_count, steps), observation
+        return ObservationState(frames, hole_mean, hole_count, state.steps + 1), observation
 
     def _hole(self, state: ObservationState, measurement: Measurement) -> tuple[FloatArray, IntArray]:
         """Update the running mean of the estimates. A frame without an estimate leaves it unchanged."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from service.policy.contract import PolicyContract
 from service.policy.observation import Measurement, ObservationState
 from service.safety import bounds, dsl
-from wire.arrays import BoolArray, Float32Array, FloatArray
+from wire.arrays import Float32Array, FloatArray
 from wire.law import ControlLimits
 from wire.limits import TILT_RAD, YAW_HALF_RANGE_RAD
 
@@ -123,13 +123,12 @@ class PolicyStep:
             previous_action=np.zeros((*shape, 4)),
         )
 
-    def observe(self, state: StepState, seen: Seen, mask: BoolArray | None = None) -> tuple[StepState, Float32Array]:
+    def observe(self, state: StepState, seen: Seen) -> tuple[StepState, Float32Array]:
         """Build the policy's observation.
 
         Args:
             state: from `begin` or the last `act`.
             seen: present measurement.
-            mask: (...) elements that observe; the others keep their memory. None: all.
 
         Returns:
             The next state, and the observation: (..., observation_size) float32 in raw units. A value is NaN where a
@@ -151,7 +150,7 @@ class PolicyStep:
             previous_action=state.previous_action,
             last_joint=seen.last_joint,
         )
-        memory, observation = self.builder.build(state.memory, measurement, mask)
+        memory, observation = self.builder.build(state.memory, measurement)
         return (
             StepState(state.lock, memory, state.target_position, state.target_yaw, state.previous_action),
             observation,

@@ -13,7 +13,7 @@ refuse it after the lock.
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from math import inf
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -146,17 +146,6 @@ class DslState:
             seek_steps=np.zeros(shape, np.int32),
             z_floor=np.broadcast_to(np.asarray(z_floor, np.float64), shape).copy(),
         )
-
-    def reset(self, mask: npt.ArrayLike) -> Self:
-        """Begin anew where `mask` (...) is True; the floor stays."""
-        reset_mask = np.asarray(mask, np.bool_)
-        start = self.begin(np.shape(self.fresh), self.z_floor)
-        merged: dict[str, Any] = {}
-        for field in fields(self):
-            old, new = np.asarray(getattr(self, field.name)), np.asarray(getattr(start, field.name))
-            wide = reset_mask[..., None] if old.ndim > reset_mask.ndim else reset_mask
-            merged[field.name] = np.where(wide, new, old)
-        return type(self)(**merged)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from service.safety import pose
 from wire import extension
-from wire.arrays import BoolArray, Float32Array, FloatArray
+from wire.arrays import Float32Array, FloatArray
 
 Arrays = tuple[npt.NDArray[Any], ...]
 """Arrays with one row per cell, in the order of the extension's names."""
@@ -46,7 +46,6 @@ class Step(Protocol):
         wrench_window: FloatArray,
         memory: Arrays,
         frames: Float32Array,
-        mask: BoolArray | None,
         /,
     ) -> tuple[Float32Array, Arrays, Float32Array]:
         """Run `ObservationBuilder.build`; return the next frames, the rest of the memory, and the observation."""

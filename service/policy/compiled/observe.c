@@ -58,35 +58,32 @@ PyObject *observe(PyObject *self, PyObject *const *given, Py_ssize_t count)
     Call call = {.count = 0};
     Layout layout;
     Window window;
-    const char *measured[MOST_FIELDS], *before[MOST_FIELDS], *mask = NULL;
+    const char *measured[MOST_FIELDS], *before[MOST_FIELDS];
     char *after[MOST_FIELDS];
     const Constants *constants;
-    if (!has(count, 8) || (constants = take_constants(given[0])) == NULL || take_batch(&call, first_of(given[3]), 3) < 0)
+    if (!has(count, 7) || (constants = take_constants(given[0])) == NULL || take_batch(&call, first_of(given[3]), 3) < 0)
         return NULL;
-    const Field of_mask = {"mask", TRUTH, 1, 0};
     PyArrayObject *old = take(&call, given[6], "frames", SINGLE);
     if (old == NULL || take_layout(&call, given[1], given[2], old, &layout) < 0 ||
         take_fields(&call, given[3], MEASUREMENT_FIELDS, COUNT(MEASUREMENT_FIELDS), measured) < 0 ||
         take_window(&call, given[4], &window) < 0 ||
-        take_fields(&call, given[5], MEMORY_FIELDS, COUNT(MEMORY_FIELDS), before) < 0 ||
-        (given[7] != Py_None && (mask = take_field(&call, given[7], &of_mask)) == NULL))
+        take_fields(&call, given[5], MEMORY_FIELDS, COUNT(MEMORY_FIELDS), before) < 0)
         return end(&call, NULL);
     const npy_intp rows[] = {layout.depth, layout.width}, cell_size = layout.depth * layout.width;
     const double *cosine = turns(&call, (const double *)measured[1], -1.0);
     double *means = scratch(&call, call.n, 6 * sizeof *means);
     Summary *felt = scratch(&call, call.n, sizeof *felt);
-    float *shifted = scratch(&call, cell_size, sizeof *shifted), *newest = scratch(&call, layout.width, sizeof *newest);
+    float *newest = scratch(&call, layout.width, sizeof *newest);
     PyObject *frames = hold(&call, make(&call, SINGLE, 2, rows));
     PyObject *observation = hold(&call, make(&call, SINGLE, 1, &layout.size));
     PyObject *memory = hold(&call, make_fields(&call, MEMORY_FIELDS, COUNT(MEMORY_FIELDS), after));
-    if (cosine == NULL || means == NULL || felt == NULL || shifted == NULL || newest == NULL || frames == NULL ||
-        observation == NULL || memory == NULL)
+    if (cosine == NULL || means == NULL || felt == NULL || newest == NULL || frames == NULL || observation == NULL ||
+        memory == NULL)
         return end(&call, NULL);
     window_summaries(&window, (ptrdiff_t)constants->observation.window_samples[0], means, felt);
     float *observed = PyArray_DATA((PyArrayObject *)observation), *kept = PyArray_DATA((PyArrayObject *)frames);
     for (npy_intp cell = 0; cell < call.n; cell++) {
-        const float *earlier = (const float *)PyArray_DATA(old) + cell * cell_size;
-        const int takes = mask == NULL || mask[cell];
+        float *shifted = kept + cell * cell_size;
         Measurement measurement;
         Memory now;
         gather(&measurement, MEASUREMENT_FIELDS, COUNT(MEASUREMENT_FIELDS), measured, cell);
@@ -95,14 +92,11 @@ PyObject *observe(PyObject *self, PyObject *const *given, Py_ssize_t count)
         observation_frame(
             &constants->observation, layout.entries, layout.count, &now, &measurement, &felt[cell], cosine[cell],
             cosine[call.n + cell], newest);
-        memcpy(shifted, earlier, (size_t)cell_size * sizeof *shifted);
+        memcpy(shifted, (const float *)PyArray_DATA(old) + cell * cell_size, (size_t)cell_size * sizeof *shifted);
         remember_frame(&layout, shifted, newest, steps == 0);
         for (npy_intp k = 0; k < layout.size; k++)
             *observed++ = shifted[layout.columns[k]];
         now.steps[0] = (int32_t)((uint32_t)steps + 1);
-        if (!takes)
-            gather(&now, MEMORY_FIELDS, COUNT(MEMORY_FIELDS), before, cell);
-        memcpy(kept + cell * cell_size, takes ? shifted : earlier, (size_t)cell_size * sizeof *kept);
         scatter(&now, MEMORY_FIELDS, COUNT(MEMORY_FIELDS), after, cell);
     }
     return end(&call, Py_BuildValue("(OOO)", frames, memory, observation));

@@ -13,7 +13,7 @@ from service.policy.observation import ObservationState, uses_estimate
 from service.policy.step import Decision, PolicyStep, Seen, StepState
 from service.safety import bounds, dsl
 from wire import extension
-from wire.arrays import BoolArray, Float32Array
+from wire.arrays import Float32Array
 from wire.modes import LockMode
 
 
@@ -54,7 +54,7 @@ class CompiledStep(PolicyStep):
             ]
         )
 
-    def observe(self, state: StepState, seen: Seen, mask: BoolArray | None = None) -> tuple[StepState, Float32Array]:
+    def observe(self, state: StepState, seen: Seen) -> tuple[StepState, Float32Array]:
         lock, memory = state.lock, state.memory
         frames, (hole_mean, hole_count, steps), observation = self._step.observe(
             self._constants,
@@ -68,7 +68,6 @@ class CompiledStep(PolicyStep):
             seen.wrench_window,
             (memory.hole_mean, memory.hole_count, memory.steps),
             memory.frames,
-            mask,
         )
         after = ObservationState(frames, hole_mean, hole_count, steps)
         return StepState(lock, after, state.target_position, state.target_yaw, state.previous_action), observation

@@ -175,7 +175,7 @@ def test_the_papers_wrench_is_normalised_by_the_locks_clip() -> None:
     np.testing.assert_allclose(seen, [0.5, -1, 1, 0.5, -1, 1])
 
 
-# History, reset, batches
+# History, batches
 
 
 def test_history_is_oldest_first_within_each_entry() -> None:
@@ -188,37 +188,15 @@ def test_history_is_oldest_first_within_each_entry() -> None:
     np.testing.assert_array_equal(observation, [2, 2, 2, 3, 3, 3, 1, 2, 3])
 
 
-def test_the_first_frame_stands_for_those_before_it_also_after_a_reset() -> None:
+def test_the_first_frame_of_an_element_stands_for_those_before_it() -> None:
     made = builder("phase", history=3)
     state = made.begin((2,))
     for phase in (1, 2):
         state, observation = made.build(state, measurement((2,), phase=np.full(2, phase)))
     np.testing.assert_array_equal(observation, [[1, 1, 2]] * 2)
-    _, observation = made.build(state.reset([True, False]), measurement((2,), phase=np.full(2, 3)))
+    state = replace(state, steps=state.steps * np.array([0, 1], np.int32))
+    _, observation = made.build(state, measurement((2,), phase=np.full(2, 3)))
     np.testing.assert_array_equal(observation, [[3, 3, 3], [1, 2, 3]])
-
-
-def test_reset_forgets_the_hole_and_the_time() -> None:
-    made = builder("hole_offset_xy", "time_fraction")
-    state, _ = made.build(made.begin((2,)), measurement((2,), seed=1))
-    state = state.reset([True, False])
-    fresh, used = (
-        made.build(state, measurement((2,), seed=2))[1],
-        made.build(made.begin((2,)), measurement((2,), seed=2))[1],
-    )
-    np.testing.assert_array_equal(fresh[0], used[0])
-    assert not np.allclose(fresh[1], used[1])
-
-
-def test_elements_outside_the_mask_keep_their_memory() -> None:
-    made = builder(*ENTRIES, history=2)
-    state, _ = made.build(made.begin((3,)), measurement((3,), seed=1))
-    after, _ = made.build(state, measurement((3,), seed=2), mask=[True, False, True])
-    whole, _ = made.build(state, measurement((3,), seed=2))
-    for field in fields(state):
-        masked = getattr(after, field.name)
-        np.testing.assert_array_equal(masked[1], getattr(state, field.name)[1])
-        np.testing.assert_array_equal(masked[[0, 2]], getattr(whole, field.name)[[0, 2]])
 
 
 def test_building_does_not_touch_the_state_that_it_was_given() -> None:

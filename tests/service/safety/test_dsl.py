@@ -278,25 +278,15 @@ def test_off_passes_the_action_through() -> None:
     assert state.z_contact0 == START[2]
 
 
-# Batches and reset
+# Batches
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_reset_forgets_everything_where_asked_and_nothing_elsewhere(mode: LockMode) -> None:
-    parameters = DslParameters(mode=mode, press_m=1e-3)
-    state = DslState.begin((2,), [0.1, 0.2])
-    for fz in (0.0, 6.0, 7.0):
-        state, _ = step(parameters, state, [START, START], [wrench(fz)] * 2, np.zeros((2, 4)))
-    after = state.reset([True, False])
-    fresh = DslState.begin((2,), [0.1, 0.2])
-    for field in fields(DslState):
-        np.testing.assert_array_equal(getattr(after, field.name)[0], getattr(fresh, field.name)[0])
-        np.testing.assert_array_equal(getattr(after, field.name)[1], getattr(state, field.name)[1])
-
-
-def test_reset_keeps_the_floor() -> None:
-    state = DslState.begin((2,), [0.05, 0.1]).reset([True, False])
-    assert state.z_floor.tolist() == [0.05, 0.1]
+def with_element(batch: DslState, index: int, element: DslState) -> DslState:
+    """Return a batch with another element at `index`, as one whose episode has ended begins among others."""
+    rows = {field.name: np.array(getattr(batch, field.name)) for field in fields(DslState)}
+    for name, row in rows.items():
+        row[index] = getattr(element, name)
+    return DslState(**rows)
 
 
 number = st.floats(-1, 1)
@@ -326,7 +316,7 @@ SCALE_A = np.array([3e-3, 3e-3, 3e-3, 0.14])
     mode="paper",
     hysteresis=False,
     press=0.0,
-    reset_at=0,
+    begin_at=0,
 )
 @given(steps, st.sampled_from(MODES), st.booleans(), st.floats(0, 2e-3), st.integers(0, 11))
 def test_a_batch_steps_as_its_elements_do(
@@ -334,7 +324,7 @@ def test_a_batch_steps_as_its_elements_do(
     mode: LockMode,
     hysteresis: bool,
     press: float,
-    reset_at: int,
+    begin_at: int,
 ) -> None:
     parameters = DslParameters(
         mode=mode,
@@ -350,10 +340,12 @@ def test_a_batch_steps_as_its_elements_do(
         position = START + 5e-3 * np.array([p, p[::-1]])
         force = SCALE_W * np.array([w, w[::-1]])
         action = SCALE_A * np.array([a, a[::-1]])
-        mask = np.array([index == reset_at, False])
-        batch, out = step(parameters, batch.reset(mask), position, force, action)
+        if index == begin_at:
+            single[0] = DslState.begin((), floors[0])
+            batch = with_element(batch, 0, single[0])
+        batch, out = step(parameters, batch, position, force, action)
         for i in range(2):
-            single[i], alone = step(parameters, single[i].reset(mask[i]), position[i], force[i], action[i])
+            single[i], alone = step(parameters, single[i], position[i], force[i], action[i])
             for field in fields(DslOutput):
                 of_batch, of_one = getattr(out, field.name)[i], getattr(alone, field.name)
                 if of_batch.dtype.kind == "f":

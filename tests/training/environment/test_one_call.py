@@ -59,9 +59,9 @@ def test_a_reset_looks_at_its_own_cells_only(monkeypatch: pytest.MonkeyPatch) ->
     before, sizes = shown.copy(), []
     observe = cells._policy_step.observe
 
-    def observed(state: Any, seen: Any, mask: Any = None) -> tuple[Any, FloatArray]:
+    def observed(state: Any, seen: Any) -> tuple[Any, FloatArray]:
         sizes.append(len(seen.position))
-        return observe(state, seen, mask)
+        return observe(state, seen)
 
     monkeypatch.setattr(cells._policy_step, "observe", observed)
     monkeypatch.setattr(cells.world._batch, "step", lambda **_: pytest.fail("a reset makes no tick"))

@@ -93,7 +93,6 @@ def put_in(place: int, inner: int, change_one: Callable[[Any], Any]) -> Change:
         ("observe", put(4, np.zeros((6, 6))), "wrench_window"),
         ("observe", put(5, ()), "tuple of 3"),
         ("observe", put(6, np.zeros((4, 2, 2), np.float32)), "frames"),
-        ("observe", put(7, np.ones(3, bool)), "mask"),
         ("act", put(0, np.zeros(3)), "constants"),
         ("act", put(1, None), "position"),
         ("act", put_in(1, 6, lambda one: one[:, :3]), "action"),
@@ -116,7 +115,7 @@ def test_arguments_that_do_not_fit_are_refused(function: str, change: Change, te
             return call
 
     fast._step = Recorder()
-    fast.observe(state, seen, np.ones(4, bool))
+    fast.observe(state, seen)
     fast.act(state, seen, draws.action())
     given = calls[function]
     change(given)
@@ -141,7 +140,7 @@ def test_no_argument_is_changed_and_no_result_shares_memory_with_one() -> None:
     draws = Draws(1, (4,))
     state, seen, action = draws.state(fast), draws.seen(), draws.action()
     before = [array.copy() for _, array in numbers((state, seen, action))]
-    after, observed = fast.observe(state, seen, None)
+    after, observed = fast.observe(state, seen)
     moved, decided = fast.act(state, seen, action)
     results = [after.memory, observed, moved.lock, decided]
     for (name, array), old in zip(numbers((state, seen, action)), before, strict=True):
