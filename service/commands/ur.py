@@ -72,6 +72,7 @@ def weigh_payload(
             err=True,
         )
         raise typer.Exit(Exit.USAGE)
+    _do(lambda: asyncio.to_thread(weighed.forget, cell))
     weighing = _do(lambda: weigh(ur, lambda line: typer.echo(line, err=True)))
     if as_json:
         typer.echo(json.dumps(document(weighing), indent=2))

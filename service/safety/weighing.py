@@ -28,8 +28,8 @@ TORQUE_LIMIT_SHARE = 1.0 / 50.0
 SHOWN_FACTOR = 2.0
 """Weight or torque that a channel must have been shown, in limits of error."""
 MAX_GAIN = 1.25
-"""Largest gain that passes; the smallest is its inverse. On an axis that has been shown just enough weight, an honest
-sensor passes with an error of a fifth of that weight: 0.8 N on a UR3e.
+"""Largest gain that passes, of a channel and of a force in any direction; the smallest is its inverse. On an axis that
+has been shown just enough weight, an honest sensor passes with an error of a fifth of that weight: 0.8 N on a UR3e.
 """
 MIN_GAIN = 0.1
 """A channel that shows less of the weight shows none."""
@@ -245,7 +245,10 @@ class Weighing:
 
     @cached_property
     def _force_findings(self) -> tuple[str, ...]:
-        return (*self._broken_channels(), *(self._wrong_forces() if self.complete else ()))
+        broken = tuple(self._broken_channels())
+        if not self.complete:
+            return broken
+        return (*broken, *self._wrong_forces()) or tuple(self._wrong_directions())
 
     def _broken_channels(self) -> Iterator[str]:
         saturated = np.any([rest.saturated for rest in self.rests], axis=0)
@@ -303,12 +306,24 @@ class Weighing:
         if len(wrong) == 3 and max(sizes) <= MAX_GAIN * min(sizes):
             yield (
                 f"gain {self.size:.2f} on all axes: the sensor weighs {self.mass_kg:.2f} kg, the joints about "
-                f"{self.joints_kg:.2f} kg, {self.scale.payload.mass_kg:g} kg is configured. Is the payload wrong, or "
-                "the sensor's scale? Correct ur.payload_kg, or have the sensor repaired"
+                f"{self.joints_kg:.2f} kg, {self.scale.payload.mass_kg:g} kg is configured. Weigh the payload on a "
+                "scale: correct ur.payload_kg if that is wrong, else have the sensor repaired"
             )
             return
         for row in wrong:
             yield f"{CHANNELS[row]} with a gain of {sizes[row]:.2f}: correct the sensor's scale, or have it repaired"
+
+    def _wrong_directions(self) -> Iterator[str]:
+        """Judge forces between the channels, each of which is right by itself: channels that are not at right angles
+        hide a force. The singular values of the gain are its least and its largest in any direction.
+        """
+        _, gains, directions = np.linalg.svd(self.gain)
+        for gain, along in zip(gains.tolist(), directions.tolist(), strict=True):
+            if not 1.0 / MAX_GAIN <= gain <= MAX_GAIN:
+                yield (
+                    f"a force along [{', '.join(f'{share:z.2f}' for share in along)}] of the flange is shown with a "
+                    f"gain of {gain:.2f}: the channels are not at right angles; have the sensor repaired"
+                )
 
     def _wrong_sums(self) -> Iterator[str]:
         for number, off_n in enumerate(np.linalg.norm(self.residuals[:, :3], axis=1).tolist(), start=1):

@@ -1,5 +1,6 @@
 """A payload of known weight, turned in front of a sensor that lies in every constant way."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -214,11 +215,35 @@ def test_a_gain_passes_within_its_limits(gain: float, passes: bool) -> None:
     assert weighed(gains(1.0, 1.0, gain, 1.0, 1.0, 1.0)).passed is passes
 
 
+@pytest.mark.parametrize(
+    ("gain", "shared", "shown"),
+    [(0.9, -0.15, r"0\.5\d"), (1.1, 0.18, r"1\.4\d"), (1.0, 0.02, None)],
+    ids=["too little", "too much", "right"],
+)
+def test_a_force_between_channels_that_are_not_at_right_angles_is_named(
+    gain: float, shared: float, shown: str | None
+) -> None:
+    """Each channel has a right gain and little of the other axes; a force along all three axes is what is wrong."""
+    mixed = np.eye(6)
+    mixed[:3, :3] = shared
+    mixed[range(3), range(3)] = np.sqrt(gain**2 - 2.0 * shared**2)
+    light = Payload(0.4, PAYLOAD.centre_m)
+    downs = (*FOUR, -Y, -DOWN)
+    weighing = weighed(lambda load: mixed @ load, downs, carried=light, scale=Scale(light, 30.0, 10.0))
+    assert weighing.complete
+    if shown is None:
+        assert weighing.passed
+    else:
+        along = r"\[(-?0\.[56]\d(, )?){3}\]"
+        assert re.match(f"a force along {along} of the flange is shown with a gain of {shown}: ", only(weighing))
+
+
 def test_a_wrong_payload_and_a_wrong_scale_are_told_as_one_question_with_what_the_joints_feel() -> None:
     heavier = Payload(1.86, PAYLOAD.centre_m)
     found = only(weighed(carried=heavier))
     assert found.startswith("gain 2.00 on all axes: the sensor weighs 1.86 kg, the joints about 1.86 kg, 0.93 kg")
     assert "the joints about 0.93 kg" in only(weighed(gains(*[2.0] * 6)))
+    assert "Weigh the payload on a scale" in found, "a mass taken from this sensor would prove its gain by itself"
 
 
 def test_a_channel_that_shows_nothing_but_noise_is_not_connected() -> None:
