@@ -197,8 +197,6 @@ class ForceTorqueSensor:
             self._constants = extension.constants(
                 self._compiled.SENSOR_CONSTANTS,
                 {
-                    "max_delay": MAX_DELAY,
-                    "noise_rows": NOISE_ROWS,
                     "drift_ticks": DRIFT_TICKS,
                     "zero_ticks": ZERO_TICKS,
                     "weight": self._weight,

@@ -92,7 +92,7 @@ class World:
         self._compiled = compiled.tick
         self._together: Together | None = None
         if self._compiled is not None:
-            frames = {"estimate_ticks": ESTIMATE_TICKS, "camera_frames": CAMERA_FRAMES}
+            frames = {"estimate_ticks": ESTIMATE_TICKS}
             self._arrays = compiled.arrays(self._compiled.CELLS, vars(self))
             self._constants = extension.constants(self._compiled.CELLS_CONSTANTS, frames)
             bodies, mine = (site, self._scene.gripper_body), (self._arrays, self._constants)
@@ -205,7 +205,7 @@ class World:
         A row takes the sensors' compensated readings after its tick. The ticks are one call of MuJoCo if there is no
         `engine.obstacle`.
         """
-        if self._together is None or engine.obstacle():
+        if self._together is None or not len(readings) or engine.obstacle():
             for row in readings:
                 self.tick()
                 row[:] = self.sensor.latest

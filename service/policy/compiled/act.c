@@ -69,7 +69,8 @@ PyObject *act(PyObject *self, PyObject *const *given, Py_ssize_t count)
     const char *dues[MOST_FIELDS], *before[MOST_FIELDS];
     char *moves[MOST_FIELDS], *after[MOST_FIELDS], *outputs[MOST_FIELDS], *commands[MOST_FIELDS];
     const Constants *constants;
-    if (!has(count, 4) || (constants = take_constants(given[0])) == NULL || take_batch(&call, first_of(given[1]), 3) < 0)
+    if (!has(count, 4) || (constants = take_constants(given[0])) == NULL ||
+        take_batch(&call, first_of(given[1]), "position", 3) < 0)
         return NULL;
     if (take_fields(&call, given[1], DUE_FIELDS, COUNT(DUE_FIELDS), dues) < 0 ||
         take_window(&call, given[2], &window) < 0 ||

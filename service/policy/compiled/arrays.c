@@ -46,12 +46,28 @@ PyArrayObject *take(Call *call, PyObject *given, const char *name, Kind kind)
     return (PyArrayObject *)array;
 }
 
+/* Return whether an array has `before` dimensions, the batch's, and those that follow. */
+static int fits(const Call *call, PyArrayObject *array, int before, int dimensions, const npy_intp *further)
+{
+    if (PyArray_NDIM(array) != before + call->dimensions + dimensions)
+        return 0;
+    const npy_intp *shape = PyArray_DIMS(array) + before;
+    for (int k = 0; k < call->dimensions; k++)
+        if (shape[k] != call->shape[k])
+            return 0;
+    for (int k = 0; k < dimensions; k++)
+        if (shape[call->dimensions + k] != further[k])
+            return 0;
+    return 1;
+}
+
 const char *take_field(Call *call, PyObject *given, const Field *field)
 {
+    const npy_intp size = field->size;
     PyArrayObject *array = take(call, given, field->name, field->kind);
     if (array == NULL)
         return NULL;
-    if (PyArray_SIZE(array) == call->n * field->size)
+    if (fits(call, array, 0, size > 1, &size))
         return PyArray_BYTES(array);
     PyErr_Format(PyExc_TypeError, "%s has another shape", field->name);
     return NULL;
@@ -74,12 +90,12 @@ int take_fields(Call *call, PyObject *tuple, const Field *fields, Py_ssize_t cou
     return 0;
 }
 
-int take_batch(Call *call, PyObject *given, int size)
+int take_batch(Call *call, PyObject *given, const char *name, int size)
 {
     const PyArrayObject *array = (PyArrayObject *)given;
     if (!PyArray_Check(given) || PyArray_NDIM(array) < (size > 1) || PyArray_NDIM(array) > MOST_DIMENSIONS - 2 ||
         (size > 1 && PyArray_DIM(array, PyArray_NDIM(array) - 1) != size)) {
-        PyErr_SetString(PyExc_TypeError, "position has another shape");
+        PyErr_Format(PyExc_TypeError, "%s has another shape", name);
         return -1;
     }
     call->dimensions = PyArray_NDIM(array) - (size > 1);
@@ -91,15 +107,29 @@ int take_batch(Call *call, PyObject *given, int size)
 
 int take_window(Call *call, PyObject *given, Window *window)
 {
+    const npy_intp size = 6;
     PyArrayObject *array = take(call, given, "wrench_window", NUMBER);
     if (array == NULL)
         return -1;
-    const npy_intp samples = PyArray_NDIM(array) == call->dimensions + 2 ? PyArray_DIM(array, 0) : 0;
-    *window = (Window){PyArray_DATA(array), samples, call->n};
-    if (samples > 0 && PyArray_SIZE(array) == samples * call->n * 6)
+    if (fits(call, array, 1, 1, &size) && PyArray_DIM(array, 0) > 0) {
+        *window = (Window){PyArray_DATA(array), PyArray_DIM(array, 0), call->n};
         return 0;
+    }
     PyErr_SetString(PyExc_TypeError, "wrench_window has another shape");
     return -1;
+}
+
+const float *take_frames(Call *call, PyObject *given, npy_intp width, npy_intp *depth)
+{
+    PyArrayObject *array = take(call, given, "frames", SINGLE);
+    if (array == NULL)
+        return NULL;
+    *depth = PyArray_NDIM(array) == call->dimensions + 2 ? PyArray_DIM(array, call->dimensions) : 0;
+    const npy_intp rows[] = {*depth, width};
+    if (*depth > 0 && fits(call, array, 0, 2, rows))
+        return PyArray_DATA(array);
+    PyErr_SetString(PyExc_TypeError, "frames has another shape");
+    return NULL;
 }
 
 PyObject *make(const Call *call, Kind kind, int dimensions, const npy_intp *further)

@@ -35,7 +35,7 @@ PyObject *hold(Call *call, PyObject *object);
 PyObject *end(Call *call, PyObject *result);
 
 /* Take the batch's shape from an array with `size` numbers for each cell. Return -1 with an exception if it has none. */
-int take_batch(Call *call, PyObject *given, int size);
+int take_batch(Call *call, PyObject *given, const char *name, int size);
 
 /* Return the first object of a tuple, else the object itself. */
 PyObject *first_of(PyObject *given);
@@ -49,8 +49,11 @@ const char *take_field(Call *call, PyObject *given, const Field *field);
 /* Take the arrays of a tuple, one for each field. Return -1 with an exception if they do not fit. */
 int take_fields(Call *call, PyObject *tuple, const Field *fields, Py_ssize_t count, const char **rows);
 
-/* Take a window (T, ..., 6). Return -1 with an exception if that is not its shape. */
+/* Take a window (T, ..., 6), T > 0. Return -1 with an exception if that is not its shape. */
 int take_window(Call *call, PyObject *given, Window *window);
+
+/* Take frames (..., depth, width), depth > 0. Return NULL with an exception if that is not their shape. */
+const float *take_frames(Call *call, PyObject *given, npy_intp width, npy_intp *depth);
 
 /* Make an array of the batch's shape, with further dimensions. */
 PyObject *make(const Call *call, Kind kind, int dimensions, const npy_intp *further);

@@ -38,7 +38,8 @@ typedef struct {
     ObservationConstants observation;
 } Constants;
 
-/* Take the constants from an array of their size. Return NULL with an exception if it is not one. */
+/* Take the constants from an array of their size. Return NULL with an exception if it is not one, or if its numbers
+   cannot be followed. */
 const Constants *take_constants(PyObject *given);
 
 /* `PolicyStep.observe` and `PolicyStep.act`; compiled/__init__.py has their arguments. */

@@ -19,13 +19,26 @@ static const Field ACTION_CONSTANT_FIELDS[] = {ACTION_CONSTANTS(AS_CONSTANT)};
 static const Field OBSERVATION_CONSTANT_FIELDS[] = {OBSERVATION_CONSTANTS(AS_CONSTANT)};
 static const Field ENTRY_FIELDS[] = {ENTRIES(AS_CONSTANT)};
 
+/* Return the constants if those that count or address something can; else NULL with an exception. */
+static const Constants *are_sound(const Constants *constants)
+{
+    const double samples = constants->observation.window_samples[0];
+    int sound = samples >= 1.0 && samples <= INT32_MAX;
+    for (int k = 0; k < 4; k++)
+        sound &= constants->action.column[k] >= 0.0 && constants->action.column[k] < 4.0;
+    if (sound)
+        return constants;
+    PyErr_SetString(PyExc_ValueError, "the constants have no such column, or a window of no samples");
+    return NULL;
+}
+
 const Constants *take_constants(PyObject *given)
 {
     if (PyArray_Check(given)) {
         PyArrayObject *array = (PyArrayObject *)given;
         if (PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array) &&
             (size_t)PyArray_NBYTES(array) == sizeof(Constants))
-            return PyArray_DATA(array);
+            return are_sound(PyArray_DATA(array));
     }
     PyErr_SetString(PyExc_TypeError, "the constants are not an array of their size");
     return NULL;
@@ -38,7 +51,7 @@ static PyObject *split(PyObject *self, PyObject *given)
     Call call = {.count = 0};
     char *out[2];
     const char *rotvec;
-    if (take_batch(&call, given, 3) < 0 || (rotvec = take_field(&call, given, &ROTVEC)) == NULL)
+    if (take_batch(&call, given, "rotvec", 3) < 0 || (rotvec = take_field(&call, given, &ROTVEC)) == NULL)
         return end(&call, NULL);
     PyObject *made = make_fields(&call, SPLIT, COUNT(SPLIT), out);
     for (npy_intp cell = 0; made != NULL && cell < call.n; cell++)
@@ -54,7 +67,7 @@ static PyObject *point_down(PyObject *self, PyObject *given)
     char *out[1];
     const char *yaw;
     PyArrayObject *array = take(&call, given, "yaw", NUMBER);
-    if (array == NULL || take_batch(&call, (PyObject *)array, 1) < 0 ||
+    if (array == NULL || take_batch(&call, (PyObject *)array, "yaw", 1) < 0 ||
         (yaw = take_field(&call, (PyObject *)array, &YAW)) == NULL)
         return end(&call, NULL);
     PyObject *made = make_fields(&call, &ROTVEC, 1, out);

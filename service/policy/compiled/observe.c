@@ -10,17 +10,23 @@ static const Field MEASUREMENT_FIELDS[] = {MEASUREMENT(IN_MEASUREMENT)};
 
 typedef struct {
     const int64_t *entries, *columns;
+    const float *frames;
     npy_intp count, size, depth, width;
 } Layout;
 
 /* Take entries, columns and frames (..., depth, width) that agree with each other. */
-static int take_layout(Call *call, PyObject *entries, PyObject *columns, PyArrayObject *frames, Layout *layout)
+static int take_layout(Call *call, PyObject *entries, PyObject *columns, PyObject *frames, Layout *layout)
 {
     PyArrayObject *entry = (PyArrayObject *)hold(call, PyArray_FROM_OTF(entries, NPY_INT64, NPY_ARRAY_CARRAY_RO));
     PyArrayObject *column = (PyArrayObject *)hold(call, PyArray_FROM_OTF(columns, NPY_INT64, NPY_ARRAY_CARRAY_RO));
     if (entry == NULL || column == NULL)
         return -1;
-    *layout = (Layout){PyArray_DATA(entry), PyArray_DATA(column), PyArray_SIZE(entry), PyArray_SIZE(column), 0, 0};
+    *layout = (Layout){
+        .entries = PyArray_DATA(entry),
+        .columns = PyArray_DATA(column),
+        .count = PyArray_SIZE(entry),
+        .size = PyArray_SIZE(column),
+    };
     for (npy_intp k = 0; k < layout->count; k++) {
         if (layout->entries[k] < 0 || layout->entries[k] >= entry_count()) {
             PyErr_SetString(PyExc_TypeError, "there is no such entry");
@@ -28,12 +34,8 @@ static int take_layout(Call *call, PyObject *entries, PyObject *columns, PyArray
         }
         layout->width += entry_size(layout->entries[k]);
     }
-    if (PyArray_NDIM(frames) != call->dimensions + 2 || PyArray_DIM(frames, call->dimensions + 1) != layout->width ||
-        PyArray_SIZE(frames) != call->n * layout->width * PyArray_DIM(frames, call->dimensions)) {
-        PyErr_SetString(PyExc_TypeError, "frames has another shape");
+    if ((layout->frames = take_frames(call, frames, layout->width, &layout->depth)) == NULL)
         return -1;
-    }
-    layout->depth = PyArray_DIM(frames, call->dimensions);
     for (npy_intp k = 0; k < layout->size; k++)
         if (layout->columns[k] < 0 || layout->columns[k] >= layout->depth * layout->width) {
             PyErr_SetString(PyExc_TypeError, "there is no such column");
@@ -61,10 +63,10 @@ PyObject *observe(PyObject *self, PyObject *const *given, Py_ssize_t count)
     const char *measured[MOST_FIELDS], *before[MOST_FIELDS];
     char *after[MOST_FIELDS];
     const Constants *constants;
-    if (!has(count, 7) || (constants = take_constants(given[0])) == NULL || take_batch(&call, first_of(given[3]), 3) < 0)
+    if (!has(count, 7) || (constants = take_constants(given[0])) == NULL ||
+        take_batch(&call, first_of(given[3]), "position", 3) < 0)
         return NULL;
-    PyArrayObject *old = take(&call, given[6], "frames", SINGLE);
-    if (old == NULL || take_layout(&call, given[1], given[2], old, &layout) < 0 ||
+    if (take_layout(&call, given[1], given[2], given[6], &layout) < 0 ||
         take_fields(&call, given[3], MEASUREMENT_FIELDS, COUNT(MEASUREMENT_FIELDS), measured) < 0 ||
         take_window(&call, given[4], &window) < 0 ||
         take_fields(&call, given[5], MEMORY_FIELDS, COUNT(MEMORY_FIELDS), before) < 0)
@@ -92,7 +94,7 @@ PyObject *observe(PyObject *self, PyObject *const *given, Py_ssize_t count)
         observation_frame(
             &constants->observation, layout.entries, layout.count, &now, &measurement, &felt[cell], cosine[cell],
             cosine[call.n + cell], newest);
-        memcpy(shifted, (const float *)PyArray_DATA(old) + cell * cell_size, (size_t)cell_size * sizeof *shifted);
+        memcpy(shifted, layout.frames + cell * cell_size, (size_t)cell_size * sizeof *shifted);
         remember_frame(&layout, shifted, newest, steps == 0);
         for (npy_intp k = 0; k < layout.size; k++)
             *observed++ = shifted[layout.columns[k]];

@@ -11,7 +11,7 @@ static const char OURS[] = "dsl-assembly-"; /* `scene.specify` */
 static void sense(const Advance *advance, const Physics *physics, intptr_t tick, intptr_t cell)
 {
     const SensorConstants *constants = advance->sensor_constants;
-    intptr_t slot = (advance->slot + 1 + tick) % (intptr_t)constants->max_delay;
+    intptr_t slot = around(advance->slot + 1 + tick, sensor_slots(&advance->sensor));
     cells_measure(&advance->cells, advance->cells_constants, physics, cell);
     sensor_sense(&advance->sensor, constants, numbers(advance->cells.carried, cell), slot, cell);
     sensor_compensate(
@@ -48,6 +48,10 @@ static void control(const mjModel *model, mjData *data)
     intptr_t cell = (intptr_t)data->userdata[1];
     double *before = numbers(advance->together.before, cell);
     int64_t *done = integer(advance->together.done, cell);
+    if (*done >= advance->ticks) { /* a step more than was asked for */
+        *done += 1;
+        return;
+    }
     if (*done > 0) {
         const Physics physics = {data->qpos, before, before + 3, data->sensordata};
         sense(advance, &physics, *done - 1, cell);

@@ -9,9 +9,9 @@ void cells_measure(const Cells *cells, const CellsConstants *constants, const Ph
     memcpy(numbers(cells->rotation, cell), physics->tcp_rotation, 9 * sizeof(double));
     for (int k = 0; k < 6; k++)
         numbers(cells->carried, cell)[k] = -physics->load[k];
-    int64_t tick = *integer(cells->ticks, cell) += 1;
-    int64_t frame = tick / (int64_t)constants->estimate_ticks % (int64_t)constants->camera_frames;
-    const double *jitter = numbers(cells->jitter, cell) + 3 * frame;
+    const int64_t tick = *integer(cells->ticks, cell) += 1, every = (int64_t)constants->estimate_ticks;
+    const int64_t frame = (tick - around(tick, every)) / every;
+    const double *jitter = numbers(cells->jitter, cell) + 3 * around(frame, cells->jitter.size / 3);
     for (int k = 0; k < 3; k++)
         numbers(cells->estimate, cell)[k] = numbers(cells->offset, cell)[k] + jitter[k];
 }

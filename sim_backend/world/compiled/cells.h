@@ -6,7 +6,7 @@
 
 /* Attributes of `World`; the first four are views into MuJoCo's data. */
 #define CELLS_FIELDS(X) \
-    X(qpos, NUMBER, 0, READ) \
+    X(qpos, NUMBER, AT_LEAST(6), READ) \
     X(tcp_position, NUMBER, 3, READ) \
     X(tcp_rotation, NUMBER, 9, READ) \
     X(load, NUMBER, 6, READ) \
@@ -16,12 +16,11 @@
     X(carried, NUMBER, 6, WRITTEN) \
     X(ticks, INTEGER, 1, WRITTEN) \
     X(offset, NUMBER, 3, READ) \
-    X(jitter, NUMBER, 0, READ) \
+    X(jitter, NUMBER, AT_LEAST(3), READ) \
     X(estimate, NUMBER, 3, WRITTEN)
 
 #define CELLS_NUMBERS(X) \
-    X(estimate_ticks) \
-    X(camera_frames)
+    X(estimate_ticks)
 
 typedef struct {
     CELLS_FIELDS(AS_ROWS)

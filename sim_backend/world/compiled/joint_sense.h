@@ -13,11 +13,11 @@
 /* What the drives are made to do: `World.drives`, and noise of unit variance. */
 #define EFFORT_FIELDS(X) \
     X(joints, NUMBER, 6, READ) \
-    X(speeds, NUMBER, 0, READ) \
+    X(speeds, NUMBER, AT_LEAST(6), READ) \
     X(servo, NUMBER, 6, READ) \
-    X(constraint, NUMBER, 0, READ) \
-    X(passive, NUMBER, 0, READ) \
-    X(bias, NUMBER, 0, READ) \
+    X(constraint, NUMBER, AT_LEAST(6), READ) \
+    X(passive, NUMBER, AT_LEAST(6), READ) \
+    X(bias, NUMBER, AT_LEAST(6), READ) \
     X(noise, NUMBER, 6, READ)
 
 #define DRIVES_NUMBERS(X) \

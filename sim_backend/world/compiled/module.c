@@ -1,16 +1,10 @@
-/* The module `_tick`: checks what Python hands over, and calls the arithmetic of the other files. */
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
-
-#define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
-#include <numpy/arrayobject.h>
+/* The module `_tick`: calls the arithmetic of the other files with what Python hands over. */
+#define IMPORTS_ARRAYS
+#include "arguments.h"
 
 #include "advance.h"
-#include "arm.h"
-#include "cells.h"
 #include "functions.h"
 #include "joint_sense.h"
-#include "sensor.h"
 #include "telling.h"
 
 static const Field ARM[] = {ARM_FIELDS(AS_FIELD)};
@@ -36,86 +30,6 @@ static const Constant TOGETHER_CONSTANTS[] = {TOGETHER_NUMBERS(AS_CONSTANT)};
 
 #define COUNT(list) ((Py_ssize_t)(sizeof(list) / sizeof *(list)))
 
-/* --- arguments ---------------------------------------------------------------------------------------------------- */
-
-static int number_of(Kind kind)
-{
-    switch (kind) {
-    case TRUTH:
-        return NPY_BOOL;
-    case INTEGER:
-        return NPY_INT64;
-    case SINGLE:
-        return NPY_FLOAT;
-    default:
-        return NPY_DOUBLE;
-    }
-}
-
-/* Take the rows of an array with `*n` rows, any number if that is negative. Return -1 with an exception if it is not
-   what `field` asks for. */
-static int take_rows(PyObject *given, const Field *field, Rows *rows, npy_intp *n)
-{
-    if (!PyArray_Check(given)) {
-        PyErr_Format(PyExc_TypeError, "%s is not an array", field->name);
-        return -1;
-    }
-    PyArrayObject *array = (PyArrayObject *)given;
-    int dimensions = PyArray_NDIM(array);
-    npy_intp size = 1, step = PyArray_ITEMSIZE(array);
-    int packed = dimensions > 0 && PyArray_TYPE(array) == number_of(field->kind) && PyArray_ISBEHAVED_RO(array);
-    for (int k = dimensions - 1; packed && k > 0; k--) {
-        packed = PyArray_DIM(array, k) == 1 || PyArray_STRIDE(array, k) == step;
-        size *= PyArray_DIM(array, k);
-        step *= PyArray_DIM(array, k);
-    }
-    if (packed && *n < 0)
-        *n = PyArray_DIM(array, 0);
-    if (!packed || PyArray_DIM(array, 0) < *n || (field->size > 0 && size != field->size)) {
-        PyErr_Format(PyExc_TypeError, "%s has another type, shape or layout", field->name);
-        return -1;
-    }
-    if (field->access == WRITTEN && !PyArray_ISWRITEABLE(array)) {
-        PyErr_Format(PyExc_TypeError, "%s is read-only", field->name);
-        return -1;
-    }
-    *rows = (Rows){PyArray_BYTES(array), PyArray_STRIDE(array, 0)};
-    return 0;
-}
-
-/* Take all arrays of a tuple; a structure of rows is an array of them. */
-static int take_all(PyObject *tuple, const Field *fields, Py_ssize_t count, Rows *rows, npy_intp *n)
-{
-    if (!PyTuple_Check(tuple) || PyTuple_Size(tuple) != count) {
-        PyErr_Format(PyExc_TypeError, "not a tuple of %zd arrays", count);
-        return -1;
-    }
-    for (Py_ssize_t k = 0; k < count; k++)
-        if (take_rows(PyTuple_GetItem(tuple, k), &fields[k], &rows[k], n) < 0)
-            return -1;
-    return 0;
-}
-
-/* Return the constants in an array of `bytes`, or NULL with an exception. */
-static const void *take_constants(PyObject *given, size_t bytes)
-{
-    if (PyArray_Check(given)) {
-        PyArrayObject *array = (PyArrayObject *)given;
-        if (PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array) && (size_t)PyArray_NBYTES(array) == bytes)
-            return PyArray_DATA(array);
-    }
-    PyErr_SetString(PyExc_TypeError, "the constants are not an array of their size");
-    return NULL;
-}
-
-static int has(Py_ssize_t count, Py_ssize_t wanted)
-{
-    if (count == wanted)
-        return 1;
-    PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", count, wanted);
-    return 0;
-}
-
 /* --- functions ---------------------------------------------------------------------------------------------------- */
 
 static PyObject *lead(PyObject *self, PyObject *const *given, Py_ssize_t count)
@@ -126,7 +40,7 @@ static PyObject *lead(PyObject *self, PyObject *const *given, Py_ssize_t count)
     npy_intp n = -1;
     if (!has(count, 2 + COUNT(MEASURED)) || take_all(given[0], ARM, COUNT(ARM), (Rows *)&arm, &n) < 0)
         return NULL;
-    const ArmConstants *constants = take_constants(given[1], sizeof *constants);
+    const ArmConstants *constants = take_arm(given[1]);
     if (constants == NULL)
         return NULL;
     for (Py_ssize_t k = 0; k < COUNT(MEASURED); k++)
@@ -143,16 +57,21 @@ static PyObject *follow(PyObject *self, PyObject *const *given, Py_ssize_t count
     (void)self;
     Arm arm;
     Rows inverses, set_points;
-    npy_intp n = -1, due = 0;
+    npy_intp n = -1, due = 0, inverted = -1;
     if (!has(count, 4) || take_all(given[0], ARM, COUNT(ARM), (Rows *)&arm, &n) < 0)
         return NULL;
-    const ArmConstants *constants = take_constants(given[1], sizeof *constants);
+    const ArmConstants *constants = take_arm(given[1]);
     if (constants == NULL)
         return NULL;
     for (npy_intp cell = 0; cell < n; cell++)
         due += *integer(arm.phase, cell) == 0;
-    if (take_rows(given[2], &INVERSES, &inverses, &due) < 0 || take_rows(given[3], &SET_POINTS, &set_points, &n) < 0)
+    if (take_rows(given[2], &INVERSES, &inverses, &inverted) < 0 ||
+        take_rows(given[3], &SET_POINTS, &set_points, &n) < 0)
         return NULL;
+    if (inverted < due) {
+        PyErr_Format(PyExc_TypeError, "%zd inverses, not %zd", inverted, due);
+        return NULL;
+    }
     for (npy_intp cell = due = 0; cell < n; cell++)
         due += arm_follow(&arm, constants, cell, due, numbers(inverses, due), numbers(set_points, cell));
     Py_RETURN_NONE;
@@ -169,8 +88,8 @@ static PyObject *sense(PyObject *self, PyObject *const *given, Py_ssize_t count)
     const SensorConstants *constants = take_constants(given[1], sizeof *constants);
     if (constants == NULL || take_rows(given[2], &CARRIED, &carried, &n) < 0)
         return NULL;
-    Py_ssize_t slot = PyLong_AsSsize_t(given[3]);
-    if (slot == -1 && PyErr_Occurred())
+    const Py_ssize_t slot = take_slot(given[3], &sensor);
+    if (slot < 0)
         return NULL;
     for (npy_intp cell = 0; cell < n; cell++)
         sensor_sense(&sensor, constants, numbers(carried, cell), slot, cell);
@@ -246,7 +165,7 @@ static PyObject *measure(PyObject *self, PyObject *const *given, Py_ssize_t coun
     npy_intp n = -1;
     if (!has(count, 2) || take_all(given[0], CELLS, COUNT(CELLS), (Rows *)&cells, &n) < 0)
         return NULL;
-    const CellsConstants *constants = take_constants(given[1], sizeof *constants);
+    const CellsConstants *constants = take_cells(given[1]);
     if (constants == NULL)
         return NULL;
     for (npy_intp cell = 0; cell < n; cell++) {
@@ -262,19 +181,19 @@ static PyObject *advance(PyObject *self, PyObject *const *given, Py_ssize_t coun
     Advance call;
     npy_intp n = -1;
     if (!has(count, 11) || take_all(given[0], ARM, COUNT(ARM), (Rows *)&call.arm, &n) < 0 ||
-        (call.arm_constants = take_constants(given[1], sizeof *call.arm_constants)) == NULL ||
+        (call.arm_constants = take_arm(given[1])) == NULL ||
         take_all(given[2], CELLS, COUNT(CELLS), (Rows *)&call.cells, &n) < 0 ||
-        (call.cells_constants = take_constants(given[3], sizeof *call.cells_constants)) == NULL ||
+        (call.cells_constants = take_cells(given[3])) == NULL ||
         take_all(given[4], SENSOR, COUNT(SENSOR), (Rows *)&call.sensor, &n) < 0 ||
         (call.sensor_constants = take_constants(given[5], sizeof *call.sensor_constants)) == NULL ||
         take_all(given[6], TOGETHER, COUNT(TOGETHER), (Rows *)&call.together, &n) < 0 ||
-        (call.constants = take_constants(given[7], sizeof *call.constants)) == NULL)
+        (call.constants = take_constants(given[7], sizeof *call.constants)) == NULL ||
+        (call.slot = take_slot(given[9], &call.sensor)) < 0)
         return NULL;
     const Field readings = {"readings", NUMBER, 6 * n, WRITTEN};
-    call.slot = PyLong_AsSsize_t(given[9]);
     call.n = n;
     call.ticks = -1;
-    if ((call.slot == -1 && PyErr_Occurred()) || take_rows(given[8], &readings, &call.readings, &call.ticks) < 0)
+    if (take_rows(given[8], &readings, &call.readings, &call.ticks) < 0)
         return NULL;
     advance_open(&call);
     PyObject *stepped = PyObject_CallFunction(given[10], "n", call.ticks); /* gives up the interpreter's lock */

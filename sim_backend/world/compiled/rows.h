@@ -4,10 +4,10 @@
 
 #include <stdint.h>
 
-/* The numbers of a row stand side by side; rows need not, since some arrays are views into MuJoCo's data. */
+/* The `size` numbers of a row stand side by side; rows need not, since some arrays are views into MuJoCo's data. */
 typedef struct {
     char *data;
-    intptr_t stride;
+    intptr_t stride, size;
 } Rows;
 
 static inline double *numbers(Rows rows, intptr_t cell) { return (double *)(rows.data + cell * rows.stride); }
@@ -15,10 +15,19 @@ static inline float *singles(Rows rows, intptr_t cell) { return (float *)(rows.d
 static inline int64_t *integer(Rows rows, intptr_t cell) { return (int64_t *)(rows.data + cell * rows.stride); }
 static inline unsigned char *truth(Rows rows, intptr_t cell) { return (unsigned char *)(rows.data + cell * rows.stride); }
 
+/* `number % size` of numpy and Python: within the size for negative numbers, too. */
+static inline int64_t around(int64_t number, int64_t size)
+{
+    const int64_t rest = number % size;
+    return rest < 0 ? rest + size : rest;
+}
+
 typedef enum { TRUTH, INTEGER, SINGLE, NUMBER } Kind;
 typedef enum { READ, WRITTEN } Access;
 
-/* An array: name, kind, numbers in a row (0: not checked), access. */
+#define AT_LEAST(size) (-(size))
+
+/* An array: name, kind, numbers in a row, access. */
 typedef struct {
     const char *name;
     Kind kind;

@@ -5,18 +5,19 @@
 
 #include "linear.h"
 
+intptr_t sensor_slots(const Sensor *sensor) { return sensor->history.size / 6; }
+
 void sensor_sense(
     const Sensor *sensor, const SensorConstants *constants, const double load[6], intptr_t slot, intptr_t cell)
 {
-    const intptr_t slots = (intptr_t)constants->max_delay, noise_rows = (intptr_t)constants->noise_rows;
+    const intptr_t slots = sensor_slots(sensor), noise_rows = sensor->noise.size / 6;
     double *history = numbers(sensor->history, cell), *out = numbers(sensor->sensed, cell);
     int64_t *tick = integer(sensor->tick, cell);
     for (intptr_t k = 0; k < slots; k++)
         if (k == slot || *tick == 0)
             memcpy(history + 6 * k, load, 6 * sizeof *load);
-    intptr_t past = (slot - (intptr_t)*integer(sensor->delay, cell) + 1) % slots;
-    const double *felt = history + 6 * (past < 0 ? past + slots : past);
-    const float *noise = singles(sensor->noise, cell) + 6 * (*tick % noise_rows);
+    const double *felt = history + 6 * around(slot - around(*integer(sensor->delay, cell), slots) + 1, slots);
+    const float *noise = singles(sensor->noise, cell) + 6 * around(*tick, noise_rows);
     const double *bias = numbers(sensor->bias, cell), *drift = numbers(sensor->drift, cell);
     const double warmed = fmin((double)*tick, constants->drift_ticks);
     for (int k = 0; k < 6; k++)

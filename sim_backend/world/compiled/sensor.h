@@ -8,8 +8,8 @@
 #define SENSOR_FIELDS(X) \
     X(tick, INTEGER, 1, WRITTEN) \
     X(delay, INTEGER, 1, READ) \
-    X(history, NUMBER, 0, WRITTEN) \
-    X(noise, SINGLE, 0, READ) \
+    X(history, NUMBER, AT_LEAST(6), WRITTEN) \
+    X(noise, SINGLE, AT_LEAST(6), READ) \
     X(bias, NUMBER, 6, READ) \
     X(drift, NUMBER, 6, READ) \
     X(zero, NUMBER, 6, READ) \
@@ -20,8 +20,6 @@
     X(saturated, TRUTH, 1, WRITTEN)
 
 #define SENSOR_NUMBERS(X) \
-    X(max_delay) \
-    X(noise_rows) \
     X(drift_ticks) \
     X(zero_ticks) \
     X(weight)
@@ -39,6 +37,9 @@ typedef struct {
     SENSOR_NUMBERS(AS_NUMBER)
     SENSOR_VECTORS(AS_VECTOR)
 } SensorConstants;
+
+/* Number of slots of the history. */
+intptr_t sensor_slots(const Sensor *sensor);
 
 /* `sense`: from the true load on the flange to `sensed`; `slot` is that of this reading. */
 void sensor_sense(

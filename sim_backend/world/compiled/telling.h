@@ -6,7 +6,7 @@
 
 #define TELLING_FIELDS(X) \
     X(joints, NUMBER, 6, READ) \
-    X(qvel, NUMBER, 0, READ) \
+    X(qvel, NUMBER, AT_LEAST(6), READ) \
     X(position, NUMBER, 3, READ) \
     X(rotation, NUMBER, 9, READ) \
     X(estimate, NUMBER, 3, READ) \

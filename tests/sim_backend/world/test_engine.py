@@ -131,6 +131,24 @@ def test_an_error_in_the_call_reaches_the_caller_and_closes_it(monkeypatch: pyte
     assert not world._batch.bind("userdata").any()
 
 
+def test_a_step_too_many_is_an_error_and_writes_beyond_no_array(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = reaching(2)
+    step = world._batch.step
+    monkeypatch.setattr(world._batch, "step", lambda nstep: step(nstep=nstep + 3))
+    readings = np.full((TICKS + 4, 2, 6), np.pi)
+    with pytest.raises(RuntimeError, match="callback"):
+        world.advance(readings[:TICKS])
+    assert (readings[TICKS:] == np.pi).all()
+
+
+def test_no_ticks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = reaching(2)
+    made, before = calls(world, monkeypatch), {name: array.copy() for name, array in of_world(world).items()}
+    world.advance(np.zeros((0, 2, 6)))
+    assert_equal(of_world(world), before, "the end")
+    assert made == []
+
+
 def test_other_models_with_user_data_are_left_alone() -> None:
     advance(reaching(1))
     model = mujoco.MjModel.from_xml_string(

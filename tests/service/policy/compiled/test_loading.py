@@ -74,12 +74,37 @@ def put_in(place: int, inner: int, change_one: Callable[[Any], Any]) -> Change:
     return change
 
 
+def put_constant(name: str, value: float) -> Change:
+    """Change the first number of a constant."""
+
+    def change(given: list[Any]) -> None:
+        step = compiled.step
+        assert step is not None
+        lists = (step.LOCK_CONSTANTS, step.BOUNDS_CONSTANTS, step.ACTION_CONSTANTS, step.OBSERVATION_CONSTANTS)
+        names = [one for sizes in lists for one, size in sizes.items() for _ in range(size)]
+        given[0] = given[0].copy()
+        given[0][names.index(name)] = value
+
+    return change
+
+
+def no_frames(given: list[Any]) -> None:
+    """An observation of no numbers from frames of which there are none, though steps have been counted."""
+    given[2], given[6] = np.array([], np.int64), given[6][:, :0]
+    given[5] = (*given[5][:2], np.ones(4, np.int32))
+
+
 @needs_the_extension
 @pytest.mark.parametrize(
     ("function", "change", "text"),
     [
         ("observe", put(0, np.zeros(3)), "constants"),
         ("observe", put(0, [1.0]), "constants"),
+        ("observe", put_constant("window_samples", 0.0), "no samples"),
+        ("observe", put_constant("window_samples", np.nan), "no samples"),
+        ("act", put_constant("column", 4.0), "no such column"),
+        ("act", put_constant("column", -1e9), "no such column"),
+        ("act", put_constant("column", np.nan), "no such column"),
         ("observe", put(1, np.array([99])), "no such entry"),
         ("observe", put(1, np.array([-1])), "no such entry"),
         ("observe", put(2, np.array([10**6])), "no such column"),
@@ -93,6 +118,12 @@ def put_in(place: int, inner: int, change_one: Callable[[Any], Any]) -> Change:
         ("observe", put(4, np.zeros((6, 6))), "wrench_window"),
         ("observe", put(5, ()), "tuple of 3"),
         ("observe", put(6, np.zeros((4, 2, 2), np.float32)), "frames"),
+        ("observe", no_frames, "frames"),
+        ("observe", put_in(3, 1, lambda one: one.reshape(2, 2)), "yaw"),
+        ("observe", put_in(3, 2, lambda one: one.T), "tilt"),
+        ("observe", put_in(5, 0, lambda one: one.reshape(3, 4)), "hole_mean"),
+        ("observe", put(4, np.zeros((6, 6, 4))), "wrench_window"),
+        ("act", put_in(1, 5, lambda one: one[:, None]), "target_yaw"),
         ("act", put(0, np.zeros(3)), "constants"),
         ("act", put(1, None), "position"),
         ("act", put_in(1, 6, lambda one: one[:, :3]), "action"),
@@ -128,7 +159,7 @@ def test_arguments_that_do_not_fit_are_refused(function: str, change: Change, te
 @needs_the_extension
 def test_poses_of_another_shape_are_refused() -> None:
     for bad in ([3.1, 0.0, 0.0], np.zeros((3, 2)), np.zeros(()), np.zeros(3, complex)):
-        with pytest.raises(TypeError):
+        with pytest.raises(TypeError, match="rotvec"):
             compiled.yaw_and_tilt(bad)
     with pytest.raises((TypeError, ValueError)):
         compiled.rotvec_from_yaw("east")

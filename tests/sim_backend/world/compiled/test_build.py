@@ -5,14 +5,16 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from sim_backend.world import compiled
 from sim_backend.world.world import World
-from tests.sim_backend.world.compiled.twins import needs_the_extension
+from tests.sim_backend.world.compiled.twins import assert_equal, needs_the_extension, of_world, twins
 from wire import extension
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -110,3 +112,63 @@ def test_arrays_that_do_not_fit_are_refused_before_anything_is_written() -> None
     with pytest.raises(TypeError, match="read-only"):
         tick.follow(*arm.bound, arm._jacobians, frozen)
     assert (arm._age == before).all()
+
+
+def other(names: tuple[str, ...], name: str, array: np.ndarray) -> Callable[[tuple[np.ndarray, ...]], Any]:
+    """Return a function that puts another array in the place of one."""
+    return lambda given: tuple(array if found == name else one for found, one in zip(names, given, strict=True))
+
+
+def constant(sizes: Mapping[str, int], name: str, value: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function that changes the first number of a constant."""
+    place = [one for one, size in sizes.items() for _ in range(size)].index(name)
+    return lambda given: np.concatenate([given[:place], [value], given[place + 1 :]])
+
+
+@needs_the_extension
+def test_what_would_lead_beyond_an_array_is_refused() -> None:
+    world, tick = World(2), compiled.tick
+    assert tick is not None
+    n, sensor, load, due = 2, world.sensor.bound, np.zeros((2, 6)), world.arm._jacobians
+    effort, noise = tuple(array for array in world.drives), np.zeros((2, 6))
+    drives = (np.zeros((n, 6)), np.zeros((n, 3))), np.zeros(sum(tick.DRIVES_CONSTANTS.values()))
+    report = tuple(np.zeros((n, *shape)) for shape in [(6,), (6,), (3,), (3,), (6,), (3,), (3,), (6,), (6,), (3,), ()])
+    told, measured = world.telling._arrays, (world._arrays, world._constants)
+    kept, shown = other(tick.SENSOR, "history", np.zeros((n, 2, 6))), other(tick.CELLS, "jitter", np.zeros((n, 0, 3)))
+    bad: list[tuple[Callable[..., Any], tuple[Any, ...], str]] = [
+        (tick.sense, (*sensor, load, -1), "no slot -1"),
+        (tick.sense, (*sensor, load, 8), "no slot 8"),
+        (tick.sense, (kept(sensor[0]), sensor[1], load, 2), "no slot 2"),
+        (tick.sense, (other(tick.SENSOR, "history", np.zeros((n, 5)))(sensor[0]), sensor[1], load, 0), "history"),
+        (
+            tick.sense,
+            (other(tick.SENSOR, "noise", np.zeros((n, 0, 6), np.float32))(sensor[0]), sensor[1], load, 0),
+            "noise",
+        ),
+        (tick.sense, (*sensor, load[:1], 0), "carried"),
+        (tick.sense, (*sensor, np.zeros((3, 6)), 0), "carried"),
+        (tick.measure, (shown(measured[0]), measured[1]), "jitter"),
+        (tick.measure, (other(tick.CELLS, "qpos", np.zeros((n, 5)))(measured[0]), measured[1]), "qpos"),
+        (tick.measure, (measured[0], constant(tick.CELLS_CONSTANTS, "estimate_ticks", 0.0)(measured[1])), "no ticks"),
+        (tick.tell, (other(tick.TELLING, "qvel", np.zeros((n, 5)))(told), report), "qvel"),
+        (tick.feel, (*drives, tuple(one[:, :5] for one in effort), noise), "joints"),
+        (tick.feel, (*drives, (effort[0], effort[1][:, :5], *effort[2:]), noise), "speeds"),
+        (tick.follow, (*world.arm.bound, due[:1], np.zeros((n, 6))), "1 inverses, not 2"),
+    ]
+    for period in (0.0, -3.0, np.nan, np.inf):
+        constants = constant(tick.ARM_CONSTANTS, "kinematics_ticks", period)(world.arm.bound[1])
+        bad.append((tick.follow, (world.arm.bound[0], constants, due, np.zeros((n, 6))), "no ticks"))
+    for function, given, text in bad:
+        with pytest.raises((TypeError, ValueError), match=text):
+            function(*given)
+
+
+@needs_the_extension
+def test_sensors_and_cameras_count_from_below_zero_as_numpy_does() -> None:
+    worlds = twins(lambda: World(3))
+    for world in worlds:
+        world.ticks[:] = -1, -22, -1_000_003
+        world.sensor._tick[:] = world.ticks
+        for _ in range(30):
+            world.tick()
+    assert_equal(of_world(worlds[0]), of_world(worlds[1]), "the end")
