@@ -7,9 +7,11 @@ import subprocess
 from pathlib import Path
 
 from service.client import CellClient
+from service.drivers.sim_process import Simulator
 from service.messages import CellState
+from service.program import Child
 from tests.scheduling import children
-from tests.service.cell.test_process import configured, started_control, until
+from tests.service.cell.test_process import configured, control_process, started_control, until
 from wire.endpoints import has_listener
 
 
@@ -38,6 +40,18 @@ async def test_policies_and_the_watchdog_load_and_clients_connect_while_the_simu
             assert client.state is CellState.UNKNOWN, "nothing is served before the simulator listens"
             os.kill(simulator, signal.SIGCONT)
             await until(lambda: client.state is CellState.READY)
+
+
+async def test_a_simulator_at_a_socket_in_the_file_system_is_waited_for(tmp_path: Path) -> None:
+    path, endpoint = configured(tmp_path, **{"tcp/127.0.0.1:7448": f"unixsock-stream/{tmp_path}/sim"})
+    async with control_process(path, endpoint) as (_, client):
+        assert client.state is CellState.READY
+
+
+def test_a_simulator_whose_endpoint_cannot_be_asked_is_left_to_the_driver(tmp_path: Path) -> None:
+    child = Child.start("simulator", ("--version",), tmp_path / "log")
+    assert Simulator(child, ["quic/127.0.0.1:7448"]).listens()
+    child.end(10.0)
 
 
 async def test_a_control_process_that_waits_for_its_simulator_ends_when_told_to(tmp_path: Path) -> None:
