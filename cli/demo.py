@@ -105,8 +105,9 @@ def _serving(config: CellConfig, path: Path, port: int) -> Generator[Child]:
     # An interrupt between the fork and the first line of the `try` would leave a server that nobody ends.
     _on_signals(lambda number, _frame: told.append(number))
     try:
-        # A session of its own: Ctrl-C reaches this process, which then ends the server in order.
-        server = Child.start("server", arguments, log)
+        # A session of its own: Ctrl-C reaches this process, which then ends the server in order. So does the kernel, if
+        # this process is killed.
+        server = Child.start("server", arguments, log, ends_with_parent=signal.SIGTERM)
     except OSError as error:
         raise DemoError(f"cannot write {log}: {error.strerror}") from error
     try:

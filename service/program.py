@@ -42,15 +42,17 @@ class Child:
     log: Path
 
     @classmethod
-    def start(cls, name: str, arguments: tuple[str, ...], log: Path, *, dies_with_parent: bool = False) -> Self:
+    def start(
+        cls, name: str, arguments: tuple[str, ...], log: Path, *, ends_with_parent: signal.Signals | None = None
+    ) -> Self:
         """Start it in a session of its own, so that Ctrl-C in the parent's terminal does not reach it.
 
         Args:
             name: for people.
             arguments: of the program.
             log: file that its output is appended to; its folder is made.
-            dies_with_parent: the kernel kills it when this process ends in whatever way (Linux). Only for a thread
-                that lives as long as this process.
+            ends_with_parent: signal that the kernel sends it when this process ends in whatever way (Linux); None: it
+                may outlive this process. Only for a thread that lives as long as this process.
 
         Raises:
             OSError: the log cannot be written, or no process can be made.
@@ -64,7 +66,7 @@ class Child:
                 stdout=output,
                 stderr=output,
                 start_new_session=True,
-                preexec_fn=bound_to(os.getpid()) if dies_with_parent else None,
+                preexec_fn=None if ends_with_parent is None else bound_to(os.getpid(), ends_with_parent),
             )
         return cls(name, process, log)
 
@@ -94,14 +96,14 @@ class Child:
         return f"the {self.name} (pid {self.process.pid}) ended with status {status}{last}"
 
 
-def bound_to(parent: int) -> Callable[[], None] | None:
-    """Return what a new process does to be killed when its parent ends; None where the kernel does not offer it."""
+def bound_to(parent: int, number: signal.Signals = signal.SIGKILL) -> Callable[[], None] | None:
+    """Return what a new process does to have a signal when its parent ends; None where the kernel does not offer it."""
     if not sys.platform.startswith("linux"):
         return None
     libc = ctypes.CDLL(None)  # loaded before the fork: between fork and exec only the call itself is safe
 
     def bind() -> None:
-        libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        libc.prctl(_PR_SET_PDEATHSIG, number)
         if os.getppid() != parent:  # it ended before this process was bound to it
             os._exit(1)
 

@@ -57,10 +57,15 @@ def has_listener(endpoint: str) -> bool | None:
     Blocks for at most `CONNECT_S`.
     """
     match = _ENDPOINT.fullmatch(endpoint)
-    if match is None or match["protocol"] not in _STREAMS:
-        return None
     with contextlib.suppress(OSError, OverflowError):  # a port beyond 65535 overflows
-        socket.create_connection((match["host"].strip("[]"), int(match["port"])), timeout=CONNECT_S).close()
+        if endpoint.startswith(_LOCAL):
+            with socket.socket(socket.AF_UNIX) as local:
+                local.settimeout(CONNECT_S)
+                local.connect(endpoint.removeprefix(_LOCAL))
+        elif match is None or match["protocol"] not in _STREAMS:
+            return None
+        else:
+            socket.create_connection((match["host"].strip("[]"), int(match["port"])), timeout=CONNECT_S).close()
         return True
     return False
 

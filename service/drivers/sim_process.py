@@ -1,6 +1,7 @@
 """Starts the simulator as a process of its own if nothing listens at its endpoint, and ends what it started."""
 
 import asyncio
+import signal
 import time
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
@@ -23,7 +24,7 @@ class Simulator:
 
     Args:
         child: the process that was started for it; None if it was already running or belongs to others.
-        endpoints: every `tcp/host:port` at which a started simulator must listen.
+        endpoints: every endpoint at which a started simulator must listen.
     """
 
     def __init__(self, child: Child | None = None, endpoints: Sequence[str] = ()) -> None:
@@ -34,12 +35,14 @@ class Simulator:
     def listens(self) -> bool:
         """Return whether a started simulator listens by now; True for one that was already running.
 
+        An endpoint that cannot be asked is taken to listen: the driver finds out, and tries again.
+
         Raises:
             OSError: the simulator has ended or does not listen in time; the text says why.
         """
         if self.child is None:
             return True
-        while self._awaited and has_listener(self._awaited[0]):
+        while self._awaited and has_listener(self._awaited[0]) is not False:
             self._awaited.pop(0)
         if not self._awaited:
             return True
@@ -67,7 +70,7 @@ def simulator(arguments: Sequence[str], endpoints: Sequence[str], log: Path) -> 
 
     Args:
         arguments: arguments of this project's program.
-        endpoints: every `tcp/host:port` at which it must listen. The first tells whether it is already running.
+        endpoints: every endpoint at which it must listen. The first tells whether it is already running.
         log: file for the output of a started simulator.
 
     Yields:
@@ -80,7 +83,7 @@ def simulator(arguments: Sequence[str], endpoints: Sequence[str], log: Path) -> 
         yield Simulator()
         return
     # A session of its own: Ctrl-C reaches the control process alone, which stops the arm before it ends the world.
-    child = Child.start("simulator", tuple(arguments), log, dies_with_parent=True)
+    child = Child.start("simulator", tuple(arguments), log, ends_with_parent=signal.SIGKILL)
     _log.info("started", name=child.name, pid=child.process.pid, log=str(log))
     try:
         yield Simulator(child, endpoints)

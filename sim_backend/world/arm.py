@@ -8,7 +8,7 @@ control program and the robot do the same. These limits are an inner layer below
 import numpy as np
 
 from sim_backend.world import compiled, kinematics, quaternion
-from sim_backend.world.compliance import Law, Reference, advance
+from sim_backend.world.compliance import Law, Reference, advance, limit_speed
 from sim_backend.world.delays import TargetDelays
 from sim_backend.world.linear import product
 from sim_backend.world.servo import JointServo
@@ -21,6 +21,8 @@ KINEMATICS_TICKS = 20
 """Ticks between exact solutions of the inverse kinematics; between them the Jacobian's inverse carries the joints."""
 SINGULARITY_MARGIN = 0.05
 """Smallest `kinematics.singularity_margin` at which the arm is still driven."""
+ANGLE_LIMIT_RAD = 1e6
+"""Joint angle from which an arm counts as singular: its Jacobian would be a matter of rounding."""
 PROTECTIVE_FORCE_N = 150.0
 PROTECTIVE_ERROR_RAD = 0.05
 STOP_S = 0.1
@@ -324,9 +326,7 @@ class ArmController:
         """
         offset = np.concatenate([position - at, quaternion.between(turned, orientation)], axis=1)
         twist += FOLLOW_SHARE * (offset / FOLLOW_S - twist)
-        pairs = twist.reshape(-1, 2, 3)
-        speed = np.sqrt((pairs * pairs).sum(2))
-        pairs *= np.minimum(1.0, self.law.max_speed[cells] / np.maximum(speed, 1e-12))[:, :, None]
+        limit_speed(twist, self.law.max_speed[cells])
         quaternion.turn(turned, (0.5 * TICK_S) * twist[:, 3:])
         self.reference.position[cells] = at + TICK_S * twist[:, :3]
         self.reference.quaternion[cells], self.reference.twist[cells] = turned, twist
@@ -338,6 +338,7 @@ class ArmController:
         self.jacobian[cells] = jacobian
         position, orientation = self._tcp(flange, rotation)
         singular = (kinematics.singularity_margin(joints) < SINGULARITY_MARGIN).any(1)
+        singular |= ~(np.abs(joints) <= ANGLE_LIMIT_RAD).all(1)
         outside = (np.abs(joints) > kinematics.JOINT_RANGE_RAD).any(1)
         held = self.program[cells] == Program.PROTECTIVE_STOP
         if singular.any() or outside.any():
@@ -390,6 +391,7 @@ class ArmController:
             "protective_force_n": PROTECTIVE_FORCE_N,
             "protective_error_rad": PROTECTIVE_ERROR_RAD,
             "least_margin": SINGULARITY_MARGIN,
+            "angle_limit": ANGLE_LIMIT_RAD,
             "kinematics_ticks": KINEMATICS_TICKS,
             "joint_range": kinematics.JOINT_RANGE_RAD,
             "joint_speed": kinematics.JOINT_SPEED_RAD_S,

@@ -78,9 +78,18 @@ def advance(
     twist *= law.inertia
     twist += force
     twist /= law.inertia + TICK_S * (law.damping + TICK_S * law.stiffness)
-    pairs = twist.reshape(-1, 2, 3)
-    speed = np.sqrt((pairs * pairs).sum(2))
-    if (speed > law.max_speed).any():
-        pairs *= np.minimum(1.0, law.max_speed / np.maximum(speed, 1e-12))[:, :, None]
+    limit_speed(twist, law.max_speed)
     reference.position += TICK_S * twist[:, :3]
     quaternion.turn(reference.quaternion, (0.5 * TICK_S) * twist[:, 3:])
+
+
+def limit_speed(twist: FloatArray, max_speed: FloatArray) -> None:
+    """Shorten the linear and the angular part of `twist` (n, 6) to `max_speed` (n, 2), in place.
+
+    A part that is not above its limit stays as it is; so does one whose length is not a number.
+    """
+    pairs = twist.reshape(-1, 2, 3)
+    speed = np.sqrt((pairs * pairs).sum(2))
+    above = speed > max_speed
+    if above.any():
+        pairs *= np.where(above, max_speed / np.maximum(speed, 1e-12), 1.0)[:, :, None]

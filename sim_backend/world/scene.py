@@ -101,7 +101,7 @@ def specify(part_name: str, clearance_m: float) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.modelname = f"dsl-assembly-{part_name}"
     spec.compiler.degree = False
-    spec.nuserdata = 2  # for `together`
+    spec.add_numeric(name="call", data=[0.0, 0.0], size=2)  # for `together`
     option = spec.option
     option.timestep = TICK_S
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

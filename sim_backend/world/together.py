@@ -6,7 +6,8 @@ before its forces are. The compiled tick does there what `World.tick` does befor
 after the step before.
 
 The callback is one for the whole process. It recognises this project's scenes by their name, and a call under way by
-MuJoCo's user data; it leaves everything else alone.
+a custom number of the simulation's own model, which MuJoCo keeps when it resets a simulation that has diverged. It
+leaves everything else alone.
 """
 
 import numpy as np
@@ -35,9 +36,9 @@ class Together:
         n = batch.nsim
         mine = {
             "orientation": batch.bind("xquat")[:, body],
-            "before": np.zeros((n, 16)),
+            "before": np.zeros((n, 17)),
             "done": np.zeros(n, np.int64),
-            "userdata": batch.bind("userdata"),
+            "told": batch.expand("numeric_data"),
         }
         constants = {"tcp_site": site, "gripper_body": body}
         self._tick = tick
@@ -45,6 +46,7 @@ class Together:
         self._others = *arm, *cells
         self._arrays = compiled.arrays(tick.TOGETHER, mine)
         self._constants = extension.constants(tick.TOGETHER_CONSTANTS, constants)
+        self._call = np.zeros(tick.CALL)
 
     def advance(self, sensor: compiled.Bound, slot: int, readings: FloatArray) -> None:
         """Run as many ticks as `readings` (ticks, n, 6) has rows; write the compensated readings there.
@@ -56,8 +58,10 @@ class Together:
 
         Raises:
             SimulationError: MuJoCo failed in a simulation.
+            RuntimeError: another thread advances these cells, or MuJoCo has called another callback.
         """
-        self._tick.advance(*self._others, *sensor, self._arrays, self._constants, readings, slot, self._step)
+        mine = self._arrays, self._constants, self._call
+        self._tick.advance(*self._others, *sensor, *mine, readings, slot, self._step)
 
     def _step(self, ticks: int) -> None:
         self._batch.step(nstep=ticks)

@@ -231,7 +231,9 @@ class World:
 
     def model(self, cell: int = 0) -> mujoco.MjModel:
         """Copy one cell's MuJoCo model, with the walls, grasp, masses and friction of its episode."""
-        return self._batch.get_model(cell)
+        model = self._batch.get_model(cell)
+        model.numeric_data[:] = 0.0  # no call is the copy's
+        return model
 
     def data(self, cell: int = 0) -> mujoco.MjData:
         """Return one cell's MuJoCo data, for rendering and inspection. Its model is `model(cell)`."""

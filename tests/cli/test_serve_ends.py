@@ -32,11 +32,11 @@ EXIT_S = 2.0
 class Served:
     """`serve`, and what can be seen of it from outside."""
 
-    def __init__(self, config: Path) -> None:
+    def __init__(self, config: Path, program: str = "serve") -> None:
         self.config, self.port, self.log = config, free_port(), config.with_name("serve.log")
         with self.log.open("wb") as output:
             self.process = subprocess.Popen(
-                command("serve", "--config", str(config), "--port", str(self.port)), stdout=output, stderr=output
+                command(program, "--config", str(config), "--port", str(self.port)), stdout=output, stderr=output
             )
         self.http = httpx.Client(base_url=f"http://127.0.0.1:{self.port}", trust_env=False, timeout=15)
 
@@ -75,8 +75,8 @@ class Served:
 
 
 @contextmanager
-def serving(config: Path) -> Iterator[Served]:
-    served = Served(config)
+def serving(config: Path, program: str = "serve") -> Iterator[Served]:
+    served = Served(config, program)
     try:
         yield served
     finally:
@@ -115,6 +115,29 @@ def test_77_sigterm_ends_the_start_and_nothing_starts_after_it(config_path: Path
         assert not served.descendants()
         time.sleep(1.5)  # longer than the server waits before it starts a control process
         assert not served.descendants()
+
+
+@pytest.mark.parametrize(
+    "moment",
+    {
+        "server started": lambda served: served.logs("api"),
+        "page named": lambda served: served.logs("api", "page on http"),
+        "control process started": lambda served: served.logs("control-process"),
+        "ready": lambda served: served.is_in("READY"),
+    }.items(),
+    ids=lambda moment: moment[0],
+)
+def test_a_demonstration_that_is_killed_leaves_nothing_behind(
+    config_path: Path, moment: tuple[str, Callable[[Served], bool]]
+) -> None:
+    with serving(config_path, "demo") as served:
+        served.wait(lambda: moment[1](served))
+        served.process.kill()
+        served.process.wait()
+        end = time.monotonic() + END_S
+        while served.descendants():
+            assert time.monotonic() < end, served.descendants()
+            time.sleep(0.05)
 
 
 def test_77_sigterm_ends_a_start_that_waits_for_a_locked_history(config_path: Path) -> None:

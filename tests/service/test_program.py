@@ -47,10 +47,11 @@ def test_a_child_ends_when_it_is_asked_and_is_killed_when_it_does_not(tmp_path: 
 
 def test_a_bound_child_does_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:
     program = f"""
+import signal
 from pathlib import Path
 from service.program import Child
 world = ("sim", "ur-controller", "--host", "127.0.0.77", "--any-ports")
-child = Child.start("world", world, Path({str(tmp_path / "log")!r}), dies_with_parent=True)
+child = Child.start("world", world, Path({str(tmp_path / "log")!r}), ends_with_parent=signal.SIGKILL)
 print(child.process.pid, flush=True)
 child.process.wait()
 """

@@ -1,6 +1,7 @@
 """An endpoint tells whether a process listens behind it."""
 
 import socket
+from pathlib import Path
 
 import pytest
 
@@ -15,7 +16,18 @@ def test_a_listener_is_told_by_a_connection(protocol: str) -> None:
     assert has_listener(endpoint) is False
 
 
-@pytest.mark.parametrize("endpoint", ["quic/127.0.0.1:7447", "udp/127.0.0.1:7447", "unixsock-stream//run/cell", "x"])
+def test_a_listener_at_a_socket_in_the_file_system_is_told_too(tmp_path: Path) -> None:
+    endpoint = f"unixsock-stream/{tmp_path}/s"
+    assert has_listener(endpoint) is False
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(f"{tmp_path}/s")
+        server.listen()
+        assert has_listener(endpoint) is True
+    assert has_listener(endpoint) is False, "what a killed process leaves behind listens no more"
+    assert has_listener(f"unixsock-stream/{'x' * 200}") is False
+
+
+@pytest.mark.parametrize("endpoint", ["quic/127.0.0.1:7447", "udp/127.0.0.1:7447", "x"])
 def test_of_an_endpoint_without_a_stream_nothing_can_be_told(endpoint: str) -> None:
     assert has_listener(endpoint) is None
 

@@ -31,6 +31,8 @@ class Tick(Protocol):
     """Address of MuJoCo's control callback for `advance`."""
     CLOCK: int
     """Address of a clock for MuJoCo's timers that stands still."""
+    CALL: int
+    """How many numbers `advance` needs for itself."""
     ARM: tuple[str, ...]
     SENSOR: tuple[str, ...]
     CELLS: tuple[str, ...]
@@ -96,6 +98,7 @@ class Tick(Protocol):
         sensor_constants: FloatArray,
         together: Arrays,
         together_constants: FloatArray,
+        call: FloatArray,
         readings: FloatArray,
         slot: int,
         step: Callable[[int], None],
@@ -103,10 +106,11 @@ class Tick(Protocol):
     ) -> None:
         """Run `World.tick` for each row of `readings` (ticks, n, 6), within one call of `step` with that number.
 
-        `step` is to make so many steps of MuJoCo, which is to call `CONTROL` in each.
+        `step` is to make so many steps of MuJoCo, which is to call `CONTROL` in each. `call` (CALL,) is the extension's
+        own; it must live as long as the simulations.
 
         Raises:
-            RuntimeError: MuJoCo has called another callback.
+            RuntimeError: `call` is in use, or MuJoCo has called another callback.
         """
         ...
 

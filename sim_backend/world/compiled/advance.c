@@ -35,32 +35,44 @@ static void drive(const Advance *advance, intptr_t cell, double set_points[6])
     arm_follow(&advance->arm, advance->arm_constants, cell, cell, inverse, set_points);
 }
 
+/* Sense the end of the step before, and drive the arm into this one. */
+static void tick(const Advance *advance, intptr_t cell, const mjData *data, double set_points[6])
+{
+    const double *before = numbers(advance->together.before, cell);
+    const int64_t done = (*integer(advance->together.done, cell))++;
+    if (done >= advance->ticks) /* a step more than was asked for */
+        return;
+    if (done > 0) {
+        const Physics physics = {data->qpos, before, before + 3, data->sensordata};
+        sense(advance, &physics, done - 1, cell);
+    }
+    drive(advance, cell, set_points);
+}
+
 /* MuJoCo calls this in each step, on its threads, when it has computed the kinematics of the step's beginning. What a
-   tick measures is of the step before: that step's end, and the kinematics of its beginning. */
+   tick measures is of the step before: that step's end, and the kinematics of its beginning.
+
+   MuJoCo resets data whose numbers are bad, controls included. It does so before it calls this, or afterwards: it then
+   begins the same step anew. */
 static void control(const mjModel *model, mjData *data)
 {
     const Advance *advance;
-    if (model->nuserdata != 2 || strncmp(model->names, OURS, sizeof OURS - 1) != 0)
+    if (model->nnumericdata != 2 || strncmp(model->names, OURS, sizeof OURS - 1) != 0)
         return;
-    memcpy(&advance, data->userdata, sizeof advance);
-    if (advance == NULL)
+    memcpy(&advance, model->numeric_data, sizeof advance);
+    if (advance == NULL || !advance->open)
         return;
-    intptr_t cell = (intptr_t)data->userdata[1];
-    double *before = numbers(advance->together.before, cell);
-    int64_t *done = integer(advance->together.done, cell);
-    if (*done >= advance->ticks) { /* a step more than was asked for */
-        *done += 1;
-        return;
-    }
-    if (*done > 0) {
-        const Physics physics = {data->qpos, before, before + 3, data->sensordata};
-        sense(advance, &physics, *done - 1, cell);
-    }
-    drive(advance, cell, data->ctrl);
-    memcpy(before, data->site_xpos + 3 * (intptr_t)advance->constants->tcp_site, 3 * sizeof(double));
-    memcpy(before + 3, data->site_xmat + 9 * (intptr_t)advance->constants->tcp_site, 9 * sizeof(double));
+    const intptr_t cell = (intptr_t)model->numeric_data[1], site = (intptr_t)advance->constants->tcp_site;
+    double *before = numbers(advance->together.before, cell), none[6];
+    const int first = *integer(advance->together.done, cell) == 0;
+    const int reset = first ? memcmp(data->qpos, numbers(advance->cells.qpos, cell), sizeof none) != 0
+                            : data->time <= before[16];
+    if (first || !reset || data->warning[mjWARN_BADQACC].number == 0)
+        tick(advance, cell, data, reset ? none : data->ctrl);
+    memcpy(before, data->site_xpos + 3 * site, 3 * sizeof(double));
+    memcpy(before + 3, data->site_xmat + 9 * site, 9 * sizeof(double));
     memcpy(before + 12, data->xquat + 4 * (intptr_t)advance->constants->gripper_body, 4 * sizeof(double));
-    *done += 1;
+    before[16] = data->time;
 }
 
 static mjtNum no_time(void) { return 0.0; }
@@ -71,22 +83,24 @@ void *advance_callback(void) { return (void *)control; }
 
 void *advance_clock(void) { return (void *)no_time; }
 
-void advance_open(const Advance *advance)
+void advance_open(Advance *advance)
 {
     const Together *together = &advance->together;
+    advance->open = 1;
     for (intptr_t cell = 0; cell < advance->n; cell++) {
         memcpy(numbers(together->before, cell) + 12, numbers(together->orientation, cell), 4 * sizeof(double));
-        memcpy(numbers(together->userdata, cell), &advance, sizeof advance);
-        numbers(together->userdata, cell)[1] = (double)cell;
+        memcpy(numbers(together->told, cell), &advance, sizeof advance);
+        numbers(together->told, cell)[1] = (double)cell;
         *integer(together->done, cell) = 0;
     }
 }
 
-int advance_close(const Advance *advance, int whole)
+int advance_close(Advance *advance, int whole)
 {
     const Together *together = &advance->together;
+    advance->open = 0;
     for (intptr_t cell = 0; cell < advance->n; cell++) {
-        memset(numbers(together->userdata, cell), 0, 2 * sizeof(double));
+        memset(numbers(together->told, cell), 0, 2 * sizeof(double));
         whole &= *integer(together->done, cell) == advance->ticks;
     }
     for (intptr_t cell = 0; whole && cell < advance->n; cell++) {

@@ -75,13 +75,13 @@ static void watch(const Arm *arm, const ArmConstants *constants, const Measured 
         clear(wrench, 6);
 }
 
-/* Shorten a vector (3) to a length; one that is short enough stays as it is. */
+/* Shorten a vector (3) to a length; one that is not above it stays as it is. */
 static void limit(double v[3], double length)
 {
     double present = length3(v);
     if (!(present > length))
         return;
-    double share = fmin(1.0, length / fmax(present, 1e-12));
+    const double share = length / fmax(present, 1e-12);
     for (int k = 0; k < 3; k++)
         v[k] *= share;
 }
@@ -97,6 +97,7 @@ static void step(const Arm *arm, const ArmConstants *constants, intptr_t cell)
     turn(numbers(arm->reference_quaternion, cell), half);
 }
 
+/* `compliance.limit_speed` */
 static void limit_speed(const Arm *arm, intptr_t cell)
 {
     double *twist = numbers(arm->reference_twist, cell);
@@ -176,8 +177,10 @@ static void linearise(const Arm *arm, const ArmConstants *constants, intptr_t ce
     copy(to_invert, jacobian, 36);
     quaternion_of(rotation, orientation);
     int singular = singularity_margin(&lengths, &chain) < constants->least_margin, outside = 0;
-    for (int k = 0; k < 6; k++)
+    for (int k = 0; k < 6; k++) {
+        singular |= !(fabs(joints[k]) <= constants->angle_limit);
         outside |= fabs(joints[k]) > constants->joint_range[k];
+    }
     int held = singular || *integer(arm->program, cell) == PROTECTIVE_STOP;
     if (singular) {
         stop(arm, cell, KINEMATICS);

@@ -53,6 +53,7 @@
     X(protective_force_n) \
     X(protective_error_rad) \
     X(least_margin) \
+    X(angle_limit) \
     X(kinematics_ticks) \
     X(d1) \
     X(a2) \

@@ -29,6 +29,7 @@ static const Constant CELLS_CONSTANTS[] = {CELLS_NUMBERS(AS_CONSTANT)};
 static const Constant TOGETHER_CONSTANTS[] = {TOGETHER_NUMBERS(AS_CONSTANT)};
 
 #define COUNT(list) ((Py_ssize_t)(sizeof(list) / sizeof *(list)))
+#define CALL ((sizeof(Advance) + sizeof(double) - 1) / sizeof(double)) /* in numbers */
 
 /* --- functions ---------------------------------------------------------------------------------------------------- */
 
@@ -178,9 +179,9 @@ static PyObject *measure(PyObject *self, PyObject *const *given, Py_ssize_t coun
 static PyObject *advance(PyObject *self, PyObject *const *given, Py_ssize_t count)
 {
     (void)self;
-    Advance call;
+    Advance call, *kept;
     npy_intp n = -1;
-    if (!has(count, 11) || take_all(given[0], ARM, COUNT(ARM), (Rows *)&call.arm, &n) < 0 ||
+    if (!has(count, 12) || take_all(given[0], ARM, COUNT(ARM), (Rows *)&call.arm, &n) < 0 ||
         (call.arm_constants = take_arm(given[1])) == NULL ||
         take_all(given[2], CELLS, COUNT(CELLS), (Rows *)&call.cells, &n) < 0 ||
         (call.cells_constants = take_cells(given[3])) == NULL ||
@@ -188,16 +189,22 @@ static PyObject *advance(PyObject *self, PyObject *const *given, Py_ssize_t coun
         (call.sensor_constants = take_constants(given[5], sizeof *call.sensor_constants)) == NULL ||
         take_all(given[6], TOGETHER, COUNT(TOGETHER), (Rows *)&call.together, &n) < 0 ||
         (call.constants = take_constants(given[7], sizeof *call.constants)) == NULL ||
-        (call.slot = take_slot(given[9], &call.sensor)) < 0)
+        (kept = (Advance *)take_constants(given[8], CALL * sizeof(double))) == NULL ||
+        (call.slot = take_slot(given[10], &call.sensor)) < 0)
         return NULL;
     const Field readings = {"readings", NUMBER, 6 * n, WRITTEN};
     call.n = n;
     call.ticks = -1;
-    if (take_rows(given[8], &readings, &call.readings, &call.ticks) < 0)
+    if (take_rows(given[9], &readings, &call.readings, &call.ticks) < 0)
         return NULL;
-    advance_open(&call);
-    PyObject *stepped = PyObject_CallFunction(given[10], "n", call.ticks); /* gives up the interpreter's lock */
-    int whole = advance_close(&call, stepped != NULL);
+    if (kept->open) {
+        PyErr_SetString(PyExc_RuntimeError, "another thread advances these cells");
+        return NULL;
+    }
+    *kept = call;
+    advance_open(kept);
+    PyObject *stepped = PyObject_CallFunction(given[11], "n", call.ticks); /* gives up the interpreter's lock */
+    int whole = advance_close(kept, stepped != NULL);
     if (stepped != NULL && !whole)
         PyErr_SetString(PyExc_RuntimeError, "MuJoCo has called another control callback");
     Py_XDECREF(stepped);
@@ -273,6 +280,7 @@ PyMODINIT_FUNC PyInit__tick(void)
         add_fields(module, "TOGETHER", TOGETHER, COUNT(TOGETHER)) < 0 ||
         PyModule_AddIntConstant(module, "MUJOCO", advance_version()) < 0 ||
         PyModule_AddIntConstant(module, "INVERTS", functions_invert()) < 0 ||
+        PyModule_AddIntConstant(module, "CALL", CALL) < 0 ||
         add_constants(module, "DRIVES_CONSTANTS", DRIVES_CONSTANTS, COUNT(DRIVES_CONSTANTS)) < 0 ||
         add_constants(module, "ARM_CONSTANTS", ARM_CONSTANTS, COUNT(ARM_CONSTANTS)) < 0 ||
         add_constants(module, "SENSOR_CONSTANTS", SENSOR_CONSTANTS, COUNT(SENSOR_CONSTANTS)) < 0 ||

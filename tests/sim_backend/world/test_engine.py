@@ -3,6 +3,7 @@
 import ctypes
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -68,7 +69,7 @@ def test_ticks_are_one_call_and_leave_no_trace_in_the_state(monkeypatch: pytest.
     made = calls(world, monkeypatch)
     assert np.abs(advance(world)[-1]).max() > 1.0
     assert made == [TICKS]
-    assert not world._batch.bind("userdata").any()
+    assert not world._batch.expand("numeric_data").any()
 
 
 def test_a_single_tick_may_follow_a_call_and_precede_one() -> None:
@@ -104,7 +105,7 @@ def test_a_callback_that_is_replaced_within_the_call_is_an_error(monkeypatch: py
     monkeypatch.setattr(world._batch, "step", replaced)
     with pytest.raises(RuntimeError, match="another control callback"):
         advance(world)
-    assert not world._batch.bind("userdata").any()
+    assert not world._batch.expand("numeric_data").any()
 
 
 @pytest.mark.parametrize(("name", "value", "reason"), [("MUJOCO", 1, "built for MuJoCo 1"), ("INVERTS", 0, "inverse")])
@@ -128,7 +129,7 @@ def test_an_error_in_the_call_reaches_the_caller_and_closes_it(monkeypatch: pyte
     monkeypatch.setattr(world._batch, "step", failing)
     with pytest.raises(mujoco.batch.SimulationError):
         advance(world)
-    assert not world._batch.bind("userdata").any()
+    assert not world._batch.expand("numeric_data").any()
 
 
 def test_a_step_too_many_is_an_error_and_writes_beyond_no_array(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,14 +150,81 @@ def test_no_ticks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert made == []
 
 
-def test_other_models_with_user_data_are_left_alone() -> None:
+@pytest.mark.parametrize("ticks", [0, 5])
+@pytest.mark.parametrize(
+    ("bad", "kind"),
+    [
+        ({"_qpos": np.nan}, mujoco.mjtWarning.mjWARN_BADQPOS),
+        ({"_qpos": -1e11}, mujoco.mjtWarning.mjWARN_BADQPOS),
+        ({"_qvel": np.inf}, mujoco.mjtWarning.mjWARN_BADQVEL),
+        ({"_qvel": 1e5}, mujoco.mjtWarning.mjWARN_BADQACC),
+    ],
+)
+def test_a_simulation_that_mujoco_resets_goes_on_as_tick_by_tick(
+    bad: dict[str, float], kind: mujoco.mjtWarning, ticks: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes of it to a file
+    one, other = reaching(3), reaching(3)
+    other._together = None
+    for world in (one, other):
+        world.advance(np.zeros((ticks, 3, 6)))
+        for name, number in bad.items():
+            getattr(world, name)[1, 2] = number
+        with np.errstate(all="ignore"):
+            advance(world)
+            world.tick()
+            advance(world)
+    assert_equal(of_world(one), of_world(other), "the end")
+    assert one._batch.warning[1, kind.value].any()
+    assert not one._batch.warning[[0, 2]].any()
+
+
+def test_a_second_thread_that_advances_the_same_cells_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    world, expected = reaching(2), advance(reaching(2))
+    step = world._batch.step
+
+    def disturbed(nstep: int) -> None:
+        with ThreadPoolExecutor(1) as pool, pytest.raises(RuntimeError, match="another thread advances"):
+            pool.submit(advance, world).result()
+        step(nstep=nstep)
+
+    monkeypatch.setattr(world._batch, "step", disturbed)
+    np.testing.assert_array_equal(advance(world), expected)
+    monkeypatch.undo()
+    advance(world)
+
+
+def copied_within_a_call(monkeypatch: pytest.MonkeyPatch) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Return model and data of a world that is gone."""
+    world, copies = reaching(1), list[tuple[mujoco.MjModel, mujoco.MjData]]()
+    step = world._batch.step
+
+    def copied(nstep: int) -> None:
+        copies.append((world.model(), world.data()))
+        step(nstep=nstep)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(world._batch, "step", copied)
+        advance(world)
+    return copies[0]
+
+
+def test_a_model_that_is_copied_within_a_call_outlives_the_world(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, data = copied_within_a_call(monkeypatch)
+    assert not model.numeric_data.any()
+    data.ctrl[:] = 0.5
+    mujoco.mj_step(model, data, 3)
+    assert (data.ctrl == 0.5).all()
+
+
+def test_other_models_with_numbers_of_their_own_are_left_alone() -> None:
     advance(reaching(1))
     model = mujoco.MjModel.from_xml_string(
-        """<mujoco><size nuserdata="2"/><worldbody><body><joint name="j" type="slide"/><geom size="1" mass="1"/></body>
-        </worldbody><actuator><motor joint="j"/></actuator></mujoco>"""
+        """<mujoco><custom><numeric name="n" data="0 3"/></custom><worldbody><body><joint name="j" type="slide"/>
+        <geom size="1" mass="1"/></body></worldbody><actuator><motor joint="j"/></actuator></mujoco>"""
     )
+    model.numeric_data[0] = 1e-310  # as good as an address
     data = mujoco.MjData(model)
-    data.userdata[:] = 1e-310, 3.0  # as good as an address
     data.ctrl[0] = 0.5
     mujoco.mj_step(model, data, 3)
     assert data.ctrl[0] == 0.5

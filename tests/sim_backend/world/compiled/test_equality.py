@@ -172,6 +172,36 @@ def test_arms_are_the_same_bit_for_bit_whatever_they_measure() -> None:
     }
 
 
+@pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, -0.0])
+@pytest.mark.parametrize("blind", [True, False, None], ids=["a blind stop", "a stop", "no stop"])
+@pytest.mark.parametrize("speed", [(1e-4, 1e-3), (1.0, 3.0)], ids=["above its speed", "below it"])
+def test_numbers_that_no_arm_measures_lead_both_to_the_same(
+    speed: tuple[float, float], blind: bool | None, odd: float
+) -> None:
+    """The first of three arms has an odd number once, in one place after the other; the others are as ever."""
+    limits = ControlLimits(((-9.0,) * 3, (9.0,) * 3), 30.0, speed, (0.5, 3.0))
+    everyone, joints = np.arange(3), np.tile([-0.2, -1.9, -1.7, -1.1, 1.57, 0.0], (3, 1))
+    for place in range(22):
+        arms = twins(lambda: ArmController(3, scene.TCP_OFFSET_M, (0.9, 0.05), np.full(6, 2e3), np.full(6, 60.0)))
+        for arm in arms:
+            arm.place(everyone, joints, np.zeros(3, np.int64))
+            arm.engage(everyone, STIFFNESS, DAMPING, INERTIA, limits)
+            if blind is not None:
+                arm.stop(everyone, StopReason.COMMAND, blind=blind)
+        for tick in range(4):
+            found = []
+            for arm in arms:
+                position = arm.reference.position + 0.01
+                measured = [arm.joints.copy(), np.full((3, 6), 0.5), position, arm.reference.quaternion.copy()]
+                places = [(one, k) for one in (*measured, arm.target_position) for k in range(one.shape[1])]
+                if tick == 1:
+                    array, k = places[place]
+                    array[0, k] = odd
+                with np.errstate(all="ignore"):
+                    found.append(of_arm(arm) | {"set_points": arm.update(*measured)})
+            assert_equal(*found, f"tick {tick}, place {place}")
+
+
 def test_sensors_are_the_same_bit_for_bit() -> None:
     n = 16
     rng = np.random.default_rng(2)
