@@ -1,6 +1,7 @@
 """Assembles the HTTP server: routes, errors, protection, and the tasks that live as long as the server."""
 
 import asyncio
+import contextlib
 import signal
 import threading
 from collections.abc import AsyncGenerator, Callable, Generator
@@ -15,7 +16,7 @@ from pydantic.json_schema import models_json_schema
 
 from api import problems
 from api.cell import FollowedCell
-from api.control_process import JOIN_S, ControlProcess
+from api.control_process import JOIN_S, OTHER_S, ControlProcess
 from api.history import RunHistory
 from api.models import Frame
 from api.protection import Protection, is_loopback
@@ -151,7 +152,12 @@ def create_app(config: CellConfig, path: Path) -> Protection:
 async def _attend(cell: FollowedCell, control_process: ControlProcess, *, may_be_joined: bool) -> None:
     """Join the control process that may be there, or start one; watch the started one."""
     if may_be_joined:
-        if await cell.wait_alive(JOIN_S):
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(OTHER_S):
+                while not await cell.wait_alive(JOIN_S) and await control_process.is_starting():
+                    pass
+        if not cell.is_silent:
+            control_process.note = None
             _log.info("joined a control process that was there")
             return
         control_process.start()

@@ -18,6 +18,8 @@ _log = structlog.get_logger("api.control_process")
 
 JOIN_S = 1.0
 """Time in which a running control process must be heard, s."""
+OTHER_S = 40.0
+"""Time in which one that listens must be heard, s. It waits for its simulator and its policies first."""
 POLL_S = 0.05
 END_S = 6.0
 """Time in which it must stop its arm and end its simulator before it is killed, s."""
@@ -47,6 +49,16 @@ class ControlProcess:
         if not self._config.api.autostart:
             return True
         return await asyncio.to_thread(has_listener, self._config.cell.endpoint) is not False
+
+    async def is_starting(self) -> bool:
+        """Return whether another control process may be starting; it listens before it is heard.
+
+        False where this API starts none anyway.
+        """
+        found = self._config.api.autostart and await asyncio.to_thread(has_listener, self._config.cell.endpoint) is True
+        if found:
+            self.note = f"Something listens at {self._config.cell.endpoint} and is not heard yet."
+        return found
 
     def start(self) -> None:
         """Start the control process, unless `api.autostart` is off or this API is told to end."""

@@ -28,13 +28,14 @@ from wire.tls import Access, is_encrypted
 
 TASKS_END_S = 0.5
 """Longest wait for a task of the cell that was cancelled, s."""
-POLICIES_S = 5.0
-"""Longest time for which the cell waits for its policies before it serves, s."""
+PARTS_S = 5.0
+"""Longest time for which the cell waits for its policies and its watchdog before it serves, s."""
 POLL_S = 0.01
 CONNECT_S = 0.5
 ANSWER_S = 1.0
 """Time in which the process that listens at this one's endpoint must be reached, and must say which cell it is, s."""
 WATCHDOG_LOST = "the watchdog has ended: a loop that hangs is stopped by the arm alone; restart the control process"
+WATCHDOG_DEAF = "the watchdog is not ready, or does not read: a loop that hangs is stopped by the arm alone"
 
 _log = structlog.get_logger("service")
 
@@ -62,7 +63,9 @@ async def attended(cell: Cell, beats: Sequence[Callable[[], None]] = ()) -> Asyn
 
 
 @contextmanager
-def guarded(cell: Cell, brake: Sequence[str]) -> Generator[tuple[Notifier, list[Callable[[], None]]]]:
+def guarded(
+    cell: Cell, brake: Sequence[str]
+) -> Generator[tuple[Notifier, list[Callable[[], None]], Callable[[], bool]]]:
     """Have the loop watched from outside while the context lasts: by systemd, and in real time by a watchdog.
 
     Args:
@@ -70,25 +73,27 @@ def guarded(cell: Cell, brake: Sequence[str]) -> Generator[tuple[Notifier, list[
         brake: arguments of the watchdog's brake; without them there is no watchdog.
 
     Yields:
-        The notices to systemd, and the beats that the loop owes to both.
+        The notices to systemd, the beats that the loop owes to both, and whether the watchdog, if any, is ready.
 
     Raises:
         OSError: no process can be made.
     """
     with ExitStack() as stack:
         notifier = stack.enter_context(Notifier())
-        beats = [notifier.beat]
         if brake and cell.driver.mode == "real_time":
             watchdog = stack.enter_context(Watchdog(brake, cell.config.limits.sample_age_s))
-            beats.append(partial(_quiet, cell, watchdog))
-        yield notifier, beats
+            yield notifier, [notifier.beat, partial(_quiet, cell, watchdog)], lambda: watchdog.attends
+        else:
+            yield notifier, [notifier.beat], lambda: True
 
 
 def _quiet(cell: Cell, watchdog: Watchdog) -> None:
     armed = cell.state in WITH_RUN or cell.state is CellState.STOPPING
-    if not watchdog.beat(armed=armed) and WATCHDOG_LOST not in cell.degradations:
-        cell.degradations = (*cell.degradations, WATCHDOG_LOST)
-        cell.journal.tell(EventKind.WARNING, cell.state, WATCHDOG_LOST)
+    wrong = WATCHDOG_LOST if not watchdog.beat(armed=armed) else None if watchdog.attends else WATCHDOG_DEAF
+    others = tuple(line for line in cell.degradations if line not in (WATCHDOG_LOST, WATCHDOG_DEAF))
+    if wrong is not None and wrong not in cell.degradations:
+        cell.journal.tell(EventKind.WARNING, cell.state, wrong)
+    cell.degradations = others if wrong is None else (*others, wrong)
 
 
 async def run(
@@ -100,7 +105,8 @@ async def run(
 ) -> None:
     """Run until SIGTERM or SIGINT; stop the arm before returning. The caller holds the lock of `alone`.
 
-    Policies load, and clients connect, while a simulator starts. Nothing is served before both are there.
+    Policies and the watchdog load, and clients connect, while a simulator starts. Nothing is served before they are
+    there.
 
     Args:
         config: of the cell.
@@ -137,11 +143,11 @@ async def run(
         await cell.close()
         raise
     try:
-        with guarded(cell, brake) as (notifier, beats):
+        with guarded(cell, brake) as (notifier, beats, is_watched):
             try:
                 while not (ended.is_set() or world_listens()):
                     await asyncio.sleep(POLL_S)
-                await _await_policies(cell, ended)
+                await _await_parts(lambda: ended.is_set() or (cell.policies_settled and is_watched()))
                 plane = ControlPlane(cell, session)
             except BaseException:
                 await cell.close()
@@ -161,11 +167,11 @@ async def run(
         await asyncio.to_thread(close_session, session)
 
 
-async def _await_policies(cell: Cell, ended: asyncio.Event) -> None:
-    """Wait until a start need not wait; for a limited time, because a model may hang."""
+async def _await_parts(are_there: Callable[[], bool]) -> None:
+    """Wait for what a start needs; for a limited time, because a model may hang."""
     with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(POLICIES_S):
-            while not cell.policies_settled and not ended.is_set():
+        async with asyncio.timeout(PARTS_S):
+            while not are_there():
                 await asyncio.sleep(POLL_S)
 
 

@@ -2,10 +2,12 @@
 
 The loop sends one byte a turn through a pipe. While a run is under way, a silence longer than the limit stops the arm
 through a connection of the watchdog's own, and so does the end of the pipe: the control process hangs or was killed.
+Through a second pipe the watchdog says that it is ready.
 `python -m service.drivers.watchdog` is the process; `Watchdog` is the loop's side.
 """
 
 import contextlib
+import fcntl
 import os
 import select
 import signal
@@ -32,7 +34,9 @@ LAST_STOPS = 20
 CONNECT_S = 0.25
 WORD_VARIABLE = "DSL_ASSEMBLY_BRAKE_WORD"
 """Environment variable with the word under which a simulated world obeys the watchdog."""
-_IDLE, _ARMED = b"\0", b"\1"
+_IDLE, _ARMED, _READY = b"\0", b"\1", b"\2"
+UNREAD_BEATS = 4096
+"""Beats that wait for a watchdog which does not read; the loop's turns of 20 s in a run."""
 IDLE_TURNS = 20
 """Turns without a run of which the watchdog is told one. It waits for none of them: they show whether it is there."""
 
@@ -103,19 +107,26 @@ class Watchdog:
 
     def __init__(self, brake: Sequence[str], limit_s: float) -> None:
         read, self._write = os.pipe()
-        os.set_blocking(self._write, False)
+        self._told, tell = os.pipe()
+        for handle in (self._write, self._told):
+            os.set_blocking(handle, False)
+        if sys.platform == "linux":
+            fcntl.fcntl(self._write, fcntl.F_SETPIPE_SZ, UNREAD_BEATS)
         self._idle_turns = 0
+        self._is_ready = self._has_ended = False
+        self._reads = True
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "service.drivers.watchdog", str(read), str(limit_s), *brake],
+                [sys.executable, "-P", "-m", "service.drivers.watchdog", f"{read},{tell}", str(limit_s), *brake],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 env=os.environ | {WORD_VARIABLE: str(BRAKE_WORD)},  # other users can read arguments
-                pass_fds=(read,),
+                pass_fds=(read, tell),
                 start_new_session=True,  # it outlives this process by some stops
             )
         finally:
             os.close(read)
+            os.close(tell)
 
     @property
     def pid(self) -> int:
@@ -128,6 +139,15 @@ class Watchdog:
         self._process.kill()  # the loop has ended as it should: there is nothing left to watch
         self._process.wait()
         os.close(self._write)
+        os.close(self._told)
+
+    @property
+    def attends(self) -> bool:
+        """True once it is ready to stop the arm, as long as it reads the beats."""
+        if not self._is_ready:
+            with contextlib.suppress(BlockingIOError):
+                self._is_ready = bool(os.read(self._told, 1))
+        return self._is_ready and self._reads
 
     def beat(self, *, armed: bool) -> bool:
         """Tell that the loop turns; return False once the watchdog has ended. It neither blocks nor raises.
@@ -136,15 +156,16 @@ class Watchdog:
             armed: a run is under way, so a silence from now on stops the arm.
         """
         idle_turns, self._idle_turns = self._idle_turns, 0 if armed else self._idle_turns + 1
-        if not armed and idle_turns % IDLE_TURNS:
-            return True
+        if self._has_ended or (not armed and idle_turns % IDLE_TURNS):
+            return not self._has_ended
         try:
             os.write(self._write, _ARMED if armed else _IDLE)
+            self._reads = True
         except BlockingIOError:
-            return True  # it has enough to read
+            self._reads = False
         except OSError:
-            return False
-        return True
+            self._has_ended = True
+        return not self._has_ended
 
 
 def guard(handle: int, limit_s: float, brake: Brake) -> None:
@@ -179,17 +200,21 @@ def _report(text: str) -> None:
     log_writer().put(f"{text}\n")
 
 
-def main(handle: str, limit_s: str, kind: str, *where: str) -> None:
+def main(handles: str, limit_s: str, kind: str, *where: str) -> None:
     """Watch over a control loop.
 
     Args:
-        handle: number of the inherited pipe.
+        handles: numbers of the inherited pipes, of the beats and of the answer.
         limit_s: longest silence, s.
         kind: of brake.
         *where: arguments of the brake.
     """
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends after the loop that it watches
-    guard(int(handle), float(limit_s), _BRAKES[kind](*where))
+    beats, tell = map(int, handles.split(","))
+    brake = _BRAKES[kind](*where)
+    with contextlib.suppress(OSError):  # the control process has ended meanwhile, as the pipe of the beats says
+        os.write(tell, _READY)
+    guard(beats, float(limit_s), brake)
     log_writer().drain()
     os._exit(0)  # an unclosed session may hang the interpreter's own exit
 

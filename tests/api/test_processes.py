@@ -124,6 +124,20 @@ async def test_a_control_process_that_listens_is_given_time_to_be_heard(
             assert api.runtime.control_process.child is None
 
 
+async def test_none_is_started_beside_one_that_listens_and_is_not_heard_yet(
+    tmp_path: Path, cell_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(application, "JOIN_S", 0.1)
+    path = write_config(tmp_path, cell_port, autostart=True)
+    with socket.create_server(("127.0.0.1", cell_port)) as starting:
+        async with serving(path) as api:
+            await until(lambda: f"listens at tcp/127.0.0.1:{cell_port}" in str(api.runtime.control_process.note))
+            await asyncio.sleep(0.5)
+            assert api.runtime.control_process.child is None
+            starting.close()
+            await until(lambda: api.runtime.control_process.child is not None)
+
+
 def test_a_missing_configuration_is_one_line(tmp_path: Path) -> None:
     with uvicorn(tmp_path / "none.toml", free_port()) as process:
         output, _ = process.communicate(timeout=30)

@@ -170,7 +170,7 @@ def _a_run_is_found_before_it_is_one() -> list[Change]:
 
 
 def _a_cell_waits_for_its_policies() -> list[Change]:
-    return [(service.cell.process, "POLICIES_S", math.inf)]
+    return [(service.cell.process, "PARTS_S", math.inf)]
 
 
 def _an_action_may_come_at_any_time() -> list[Change]:

@@ -6,6 +6,7 @@ import signal
 import subprocess
 from pathlib import Path
 
+from service.cell.process import WATCHDOG_DEAF
 from service.client import CellClient
 from service.drivers.sim_process import Simulator
 from service.messages import CellState
@@ -46,6 +47,28 @@ async def test_a_simulator_at_a_socket_in_the_file_system_is_waited_for(tmp_path
     path, endpoint = configured(tmp_path, **{"tcp/127.0.0.1:7448": f"unixsock-stream/{tmp_path}/sim"})
     async with control_process(path, endpoint) as (_, client):
         assert client.state is CellState.READY
+
+
+async def test_nothing_is_served_before_the_watchdog_is_ready_and_a_late_one_is_told(tmp_path: Path) -> None:
+    path, endpoint = configured(tmp_path)
+    with started_control(path) as process:
+        watchdog = await child(process, "service.drivers.watchdog")
+        os.kill(watchdog, signal.SIGSTOP)
+        for other in ("sim serve", "policy.worker"):
+            await child(process, other)
+        async with CellClient("cell-1", [endpoint]) as client:
+            await until(lambda: has_listener(endpoint))
+            await asyncio.sleep(2.0)
+            assert client.state is CellState.UNKNOWN
+            await until(lambda: client.state is CellState.READY)
+
+            def told() -> bool:
+                return client.last_status is not None and WATCHDOG_DEAF in client.last_status.degradations
+
+            await until(told)
+            os.kill(watchdog, signal.SIGCONT)
+            await until(lambda: not told())
+            assert client.state is CellState.READY
 
 
 def test_a_simulator_whose_endpoint_cannot_be_asked_is_left_to_the_driver(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from service.client import CellClient
 from service.commands.drivers import brake_of
 from service.drivers.base import Program, Sample
 from service.drivers.sim_wire import read_sample
-from service.drivers.watchdog import Watchdog
+from service.drivers.watchdog import UNREAD_BEATS, Watchdog
 from service.faults import FaultCode
 from service.messages import CellState, Counters, Latch, StartRequest
 from service.notify import Notifier
@@ -171,6 +171,23 @@ async def test_a_watchdog_that_ends_is_told_and_the_run_goes_on(tmp_path: Path) 
             )
         )
         assert stand.latch is None
+
+
+async def test_a_watchdog_attends_once_it_is_ready_and_while_it_reads_the_beats(tmp_path: Path) -> None:
+    with Watchdog(("dashboard", "127.0.0.1", "1"), 60.0) as watchdog:
+        assert not watchdog.attends, "it has just been started"
+        await until(lambda: watchdog.attends)
+        os.kill(watchdog.pid, signal.SIGSTOP)
+        beats = 0
+        while watchdog.attends:
+            assert watchdog.beat(armed=True), "it has not ended"
+            beats += 1
+            assert beats <= 2 * UNREAD_BEATS
+        os.kill(watchdog.pid, signal.SIGCONT)
+        await until(lambda: watchdog.beat(armed=True) and watchdog.attends)
+        os.kill(watchdog.pid, signal.SIGKILL)
+        await until(lambda: not watchdog.beat(armed=True))
+        assert not watchdog.beat(armed=False), "what has ended does not come again"
 
 
 async def test_50_the_watchdog_of_a_ur_ends_the_program_through_the_dashboard(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from sim_backend.world import compiled
+from sim_backend.world.sensor import MAX_DELAY
 from sim_backend.world.world import World
 from tests.sim_backend.world.compiled.twins import assert_equal, needs_the_extension, of_world, twins
 from wire import extension
@@ -206,7 +207,7 @@ def test_what_would_lead_beyond_an_array_is_refused() -> None:
     kept, shown = other(tick.SENSOR, "history", np.zeros((n, 2, 6))), other(tick.CELLS, "jitter", np.zeros((n, 0, 3)))
     bad: list[tuple[Callable[..., Any], tuple[Any, ...], str]] = [
         (tick.sense, (*sensor, load, -1), "no slot -1"),
-        (tick.sense, (*sensor, load, 8), "no slot 8"),
+        (tick.sense, (*sensor, load, MAX_DELAY), f"no slot {MAX_DELAY}"),
         (tick.sense, (kept(sensor[0]), sensor[1], load, 2), "no slot 2"),
         (tick.sense, (other(tick.SENSOR, "history", np.zeros((n, 5)))(sensor[0]), sensor[1], load, 0), "history"),
         (
