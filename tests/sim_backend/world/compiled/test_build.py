@@ -14,6 +14,7 @@ import pytest
 
 from sim_backend.world import compiled
 from sim_backend.world.sensor import MAX_DELAY
+from sim_backend.world.sensor import MAX_DELAY
 from sim_backend.world.world import World
 from tests.sim_backend.world.compiled.twins import assert_equal, needs_the_extension, of_world, twins
 from wire import extension
@@ -203,7 +204,9 @@ def test_what_would_lead_beyond_an_array_is_refused() -> None:
     effort, noise = tuple(array for array in world.drives), np.zeros((2, 6))
     drives = (np.zeros((n, 6)), np.zeros((n, 3))), np.zeros(sum(tick.DRIVES_CONSTANTS.values()))
     report = tuple(np.zeros((n, *shape)) for shape in [(6,), (6,), (3,), (3,), (6,), (3,), (3,), (6,), (6,), (3,), ()])
-    told, measured = world.telling._arrays, (world._arrays, world._constants)
+    told, measured, one = world.telling._arrays, (world._arrays, world._constants), world._together
+    assert one is not None
+    call = (*world.arm.bound, *measured, *sensor, one._arrays, one._constants, one._call)
     kept, shown = other(tick.SENSOR, "history", np.zeros((n, 2, 6))), other(tick.CELLS, "jitter", np.zeros((n, 0, 3)))
     bad: list[tuple[Callable[..., Any], tuple[Any, ...], str]] = [
         (tick.sense, (*sensor, load, -1), "no slot -1"),
@@ -224,6 +227,10 @@ def test_what_would_lead_beyond_an_array_is_refused() -> None:
         (tick.feel, (*drives, tuple(one[:, :5] for one in effort), noise), "joints"),
         (tick.feel, (*drives, (effort[0], effort[1][:, :5], *effort[2:]), noise), "speeds"),
         (tick.follow, (*world.arm.bound, due[:1], np.zeros((n, 6))), "1 inverses, not 2"),
+        (tick.advance, (*call, np.zeros((5, n, 6))[:0], 0, lambda _: None), "no readings"),
+        (tick.advance, (*call, np.zeros((5, n, 6)), MAX_DELAY, lambda _: None), f"no slot {MAX_DELAY}"),
+        (tick.advance, (*call[:-1], call[-1][1:], np.zeros((5, n, 6)), 0, lambda _: None), "constants"),
+        (tick.advance, (*call, np.zeros((5, n + 1, 6)), 0, lambda _: None), "readings"),
     ]
     for period in (0.0, -3.0, np.nan, np.inf):
         constants = constant(tick.ARM_CONSTANTS, "kinematics_ticks", period)(world.arm.bound[1])
