@@ -19,7 +19,7 @@ MUTMUT = (sys.executable, "-m", "mutmut")
 MUTATED = ("service/safety/*.py", *(f"service/cell/{name}.py" for name in ("standstill", "arm_stops", "halting")))
 TESTS = (
     "tests/service/safety",
-    *(f"tests/service/cell/test_{name}.py" for name in ("standstill", "latch")),
+    *(f"tests/service/cell/test_{name}.py" for name in ("arm_stops", "standstill", "latch", "stop_path")),
 )
 COPIED = ("api", "cli", "config", "models", "sim_backend", "training", "wire")
 SURVIVED, NOT_REACHED = 0, 33

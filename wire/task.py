@@ -3,6 +3,8 @@
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Self
 
+from wire.plant import PlantErrors
+
 Part = Literal["tr", "rtr", "trm", "cir", "b-rtr", "b-trm"]
 Conditions = Literal["standard", "easy", "search", "stiff", "transfer"]
 
@@ -22,6 +24,7 @@ class Task:
         randomise_plant: draw friction, stiffness, delay, mass and contact (training); otherwise they are nominal
             (test). Not allowed with `stiff` and `transfer`, whose plant is fixed.
         sensor_delay_ticks: delay from force to sample, 1–4 ticks of 2 ms; None draws it from the seed.
+        plant: errors of the plant, on top of all this; None: it has none.
     """
 
     seed: int
@@ -30,9 +33,10 @@ class Task:
     conditions: Conditions = "standard"
     randomise_plant: bool = False
     sensor_delay_ticks: int | None = None
+    plant: PlantErrors | None = None
 
     def to_json(self) -> dict[str, Any]:
-        return asdict(self)
+        return asdict(self) | {"plant": None if self.plant is None else self.plant.to_json()}
 
     @classmethod
     def from_json(cls, document: dict[str, Any]) -> Self:
@@ -41,6 +45,9 @@ class Task:
         Raises:
             ValueError: a field is unknown, missing or out of range; the text names it.
         """
+        plant = document.get("plant")
+        if plant is not None:
+            document = document | {"plant": PlantErrors.from_json(plant)}
         try:
             task = cls(**document)
         except TypeError as error:
@@ -72,3 +79,5 @@ class Task:
         ):
             low, high = SENSOR_DELAY_TICKS
             raise ValueError(f"task.sensor_delay_ticks must be null or an integer from {low} to {high}, not {delay!r}")
+        if self.plant is not None:
+            self.plant.check()

@@ -181,7 +181,7 @@ class Controller:
             names: names of RTDE inputs.
             values: one value per name, of the field's type; any bits, NaN included.
         """
-        self.inputs.receive(names, values, self._tick + self.plant.input_delay)
+        self.inputs.receive(names, values, self._tick + self.plant.next_delay())
 
     def set_speed_slider(self, fraction: float) -> None:
         """Set the speed of programs, 0 … 1; values outside are clamped, NaN is ignored."""

@@ -59,7 +59,7 @@ class Plant:
         payload_inertia: (6,) Ixx Iyy Izz Ixy Ixz Iyz, kg·m²; reported, but without effect.
         external_wrench: (6,) wrench of an external sensor about the flange, flange axes, zeroed by its owner; if set,
             `wrench` is derived from it.
-        input_delay: ticks from a command's arrival to its effect in this episode.
+        input_delay: ticks from a command's arrival to its effect in this episode, without jitter.
         on_placed: functions called after the arm was moved elsewhere.
     """
 
@@ -139,6 +139,10 @@ class Plant:
         if inertia is not None:
             self.payload_inertia = tuple(map(float, inertia))
         self._configure()
+
+    def next_delay(self) -> int:
+        """Return the ticks from the next command's arrival to its effect: `input_delay` with its jitter."""
+        return int(self.world.arm.delays.next(_ONLY)[0])
 
     def zero_ft(self) -> None:
         """Take the sensor's latest readings as its zero; meaningless in contact and in motion."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from sim_backend.world import compiled, kinematics, quaternion
 from sim_backend.world.compliance import Law, Reference, advance, limit_speed
+from sim_backend.world.delays import TargetDelays
 from sim_backend.world.linear import product
 from sim_backend.world.servo import JointServo
 from wire import extension, pose
@@ -47,6 +48,7 @@ class ArmController:
         damping: (6,) damping of the joint servos, N·m·s/rad.
 
     Attributes:
+        delays: delays of the targets.
         bound: arrays and constants for the compiled tick, where it is used.
     """
 
@@ -65,7 +67,7 @@ class ArmController:
         self.target_position = np.zeros((n, 3))
         self.target_quaternion = np.tile([1.0, 0, 0, 0], (n, 1))
         self.joints = np.zeros((n, 6))
-        self._delay = np.zeros(n, np.int64)
+        self.delays = TargetDelays(n)
         self._pending = np.full(n, -1)
         self._pending_position = np.zeros((n, 3))
         self._pending_quaternion = np.zeros((n, 4))
@@ -86,13 +88,13 @@ class ArmController:
             self._bind(self._compiled)
 
     def place(self, cells: CellIndices, joints: FloatArray, target_delay: CellIndices) -> None:
-        """Put arms at rest at `joints` (k, 6), disengaged. Targets take effect after `target_delay` (k,) ticks."""
+        """Put arms at rest at `joints` (k, 6), disengaged; `target_delay` is that of `TargetDelays.begin`."""
         self.joints[cells] = joints
         self.program[cells] = Program.IDLE
         self.stop_reason[cells] = StopReason.NONE
         self.peak_force[cells] = 0.0
         self.reference.twist[cells] = 0.0
-        self._delay[cells] = target_delay
+        self.delays.begin(cells, target_delay)
         self._pending[cells] = -1
         self._blind[cells] = False
         position, orientation = self._tcp(*kinematics.forward(joints))
@@ -159,7 +161,7 @@ class ArmController:
         good = engaged & finite & inside & near
         self._stop(cells[engaged & ~good], StopReason.TARGET_REJECTED)
         taken = cells[good]
-        self._pending[taken] = self._delay[taken]
+        self._pending[taken] = self.delays.next(taken)
         self._pending_position[taken] = position[good]
         self._pending_quaternion[taken] = orientation[good]
         self._age[taken] = 0

@@ -4,12 +4,16 @@ Values that the paper does not state come from its author's code and logs. One s
 so a seed means the same world in training, in a test and through the deployed service.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim_backend.world import errors
+from sim_backend.world.errors import Errors
 from sim_backend.world.scene import CONTACT_TIME_S, NOMINAL_HOLE_M
-from wire.arrays import Float32Array, FloatArray
+from wire.arrays import CellIndices, Float32Array, FloatArray
+from wire.plant import PlantErrors
+from wire.records import TICK_S
 from wire.task import SENSOR_DELAY_TICKS, Task
 
 FORCE_NOISE_N = 0.7
@@ -20,6 +24,8 @@ ESTIMATE_JITTER_M = 0.17e-3
 FRICTION = 0.3
 CONTACT_TIMES_S = (6e-3, 14e-3)
 """Smallest and largest time constant of contact of a randomised plant, s."""
+LEAST_CONTACT_TIME_S = 2 * TICK_S
+"""Smallest time constant of contact that MuJoCo can simulate, s."""
 NOISE_ROWS = 4096
 """Ticks of sensor noise drawn per episode; an episode longer than that (8.2 s) repeats it."""
 CAMERA_FRAMES = 64
@@ -78,11 +84,12 @@ class Episode:
         contact_time_s: time constant of contact (`solref`); the contact's stiffness is proportional to its inverse
             square.
         sensor_delay: ticks from force to sample: drawn from 1–4 (2–8 ms) unless the task or its conditions set it.
-        target_delay: ticks from a target's arrival to its effect.
+        target_delay: ticks from a target's arrival to its effect, without jitter.
         bias: (6,) bias of the raw sensor, N and N·m.
         drift: (6,) change of that bias per second.
         wrench_noise: (NOISE_ROWS, 6) float32, N and N·m, one row per tick.
         estimate_noise: (CAMERA_FRAMES, 3) jitter of the estimate, one row per camera frame.
+        errors: further errors of the plant.
     """
 
     hole_position: FloatArray
@@ -100,6 +107,12 @@ class Episode:
     drift: FloatArray
     wrench_noise: Float32Array
     estimate_noise: FloatArray
+    errors: Errors = errors.NONE
+
+    @property
+    def target_delays(self) -> CellIndices:
+        """(JITTERS,) ticks from a target's arrival to its effect, for one target after another."""
+        return self.target_delay + self.errors.target_jitter
 
 
 def draw(task: Task) -> Episode:
@@ -124,7 +137,7 @@ def draw(task: Task) -> Episode:
         delay = task.sensor_delay_ticks
     elif ranges.sensor_delay is not None:
         delay = ranges.sensor_delay
-    return Episode(
+    episode = Episode(
         hole_position=hole,
         hole_yaw=float(yaw),
         estimate_offset=offset,
@@ -140,6 +153,26 @@ def draw(task: Task) -> Episode:
         drift=drift,
         wrench_noise=noise,
         estimate_noise=jitter,
+    )
+    return episode if task.plant is None else _disturbed(episode, task.plant, task.seed)
+
+
+def _disturbed(episode: Episode, plant: PlantErrors, seed: int) -> Episode:
+    """Return an episode on a plant with errors."""
+    drawn = errors.directions(seed if plant.seed is None else plant.seed)
+    seen = plant.camera_error_scale * episode.estimate_offset + plant.camera_bias_m * drawn.camera
+    seen[2] += plant.camera_height_m * drawn.camera_height
+    return replace(
+        episode,
+        estimate_offset=seen,
+        friction=episode.friction + plant.friction_added,
+        mass_scale=episode.mass_scale * plant.payload_mass_scale,
+        contact_time_s=max(episode.contact_time_s * plant.contact_time_scale, LEAST_CONTACT_TIME_S),
+        sensor_delay=episode.sensor_delay + plant.ft_delay_ticks,
+        target_delay=episode.target_delay + plant.target_delay_ticks,
+        drift=episode.drift * plant.ft_drift_scale,
+        wrench_noise=episode.wrench_noise * np.float32(plant.ft_noise_scale),
+        errors=errors.errors_of(plant, drawn, seed),
     )
 
 

@@ -5,9 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from mujoco.batch import Batch
 
-from sim_backend.world import scene
+from sim_backend.world import quaternion, scene
 from sim_backend.world.conditions import Episode
+from sim_backend.world.linear import product
+from sim_backend.world.model_errors import ModelErrors
 from sim_backend.world.parts import hole_walls, wall_centres
+from wire import pose
 from wire.arrays import CellIndices, FloatArray
 
 
@@ -21,7 +24,6 @@ class Layout:
     Attributes:
         block_position: (n, 3) view of the centre of the hole's mouth, m.
         hole_yaw: (n,) yaw of the hole, rad.
-        hole_turn: cosine and sine of it, (n,) each.
         outward: cosine and sine of the angles of the walls' outward normals, (w,) each, hole frame.
         wall_distance: (n, w) distance of the walls' faces from the hole's centre, m.
         friction: (n, geoms, 3) view of the coefficients of friction.
@@ -33,7 +35,9 @@ class Layout:
         self._carried = [scene.gripper_body, scene.peg_body]
         self.block_position: FloatArray = batch.bind("mocap_pos")[:, 0]
         self.hole_yaw = np.zeros(batch.nsim)
-        self.hole_turn = np.ones(batch.nsim), np.zeros(batch.nsim)
+        self._turn = np.ones(batch.nsim), np.zeros(batch.nsim)
+        self._tilt = np.zeros((batch.nsim, 3))
+        self._untilt = np.tile(np.eye(3), (batch.nsim, 1, 1))
         walls = hole_walls(scene.part, np.zeros(batch.nsim))
         self.outward: tuple[FloatArray, FloatArray] = np.cos(walls[0, :, 0]), np.sin(walls[0, :, 0])
         self.wall_distance: FloatArray = walls[:, :, 1].copy()
@@ -45,6 +49,7 @@ class Layout:
         self._body_position = batch.expand("body_pos")
         self._inertia = batch.expand("body_inertia")
         self._finger_stiffness = batch.expand("jnt_stiffness")
+        self._errors = ModelErrors(batch, scene)
 
     def write(self, cells: CellIndices, clearance_m: FloatArray, episodes: Sequence[Episode]) -> None:
         """Lay out `cells` (k,) for k episodes; `clearance_m` (k,) per face."""
@@ -53,6 +58,9 @@ class Layout:
         def of(name: str) -> FloatArray:
             return np.array([getattr(episode, name) for episode in episodes])
 
+        errors = [episode.errors for episode in episodes]
+        self._tilt[cells] = [one.hole_tilt for one in errors]
+        self._untilt[cells] = pose.rotation_from_rotvec(-self._tilt[cells])
         self.move_hole(cells, of("hole_position"), of("hole_yaw"))
         self.wall_distance[cells] = hole_walls(self._scene.part, clearance_m)[:, :, 1]
         centres = wall_centres(self._scene.part, clearance_m, scene.WALL_HALF_THICKNESS_M)
@@ -64,13 +72,21 @@ class Layout:
         self.mass[rows, self._carried] = model.body_mass[self._carried] * scale
         self._inertia[rows, self._carried] = model.body_inertia[self._carried] * scale[:, :, None]
         self._finger_stiffness[cells, -1] = scene.FINGER_STIFFNESS_NM * of("stiffness_scale")
+        self._errors.write(cells, errors)
 
     def move_hole(self, cells: CellIndices, position: FloatArray, yaw: FloatArray) -> None:
-        """Move the holes of `cells` (k,) to `position` (k, 3), m, and `yaw` (k,), rad."""
+        """Move the holes of `cells` (k,) to `position` (k, 3), m, and `yaw` (k,), rad, about their axes."""
         half = 0.5 * yaw
         self.block_position[cells] = position
-        self._block_quat[cells] = np.column_stack([np.cos(half), np.zeros((len(cells), 2)), np.sin(half)])
+        turned = np.column_stack([np.cos(half), np.zeros((len(cells), 2)), np.sin(half)])
+        self._block_quat[cells] = quaternion.product(quaternion.from_rotvec(self._tilt[cells]), turned)
         stored = 2.0 * np.arctan2(self._block_quat[cells, 3], self._block_quat[cells, 0])
         self.hole_yaw[cells] = stored
-        for turn, function in zip(self.hole_turn, (np.cos, np.sin), strict=True):
+        for turn, function in zip(self._turn, (np.cos, np.sin), strict=True):
             turn[cells] = function(stored)
+
+    def in_hole(self, points: FloatArray) -> FloatArray:
+        """Return points (n, 3), base frame, in the frames of the holes, (n, 3), m."""
+        x, y, z = product(self._untilt, points - self.block_position).T
+        cosine, sine = self._turn
+        return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)

@@ -27,6 +27,13 @@ def turn(quaternion: FloatArray, half_step: FloatArray) -> None:
     quaternion /= np.sqrt((quaternion * quaternion).sum(1, keepdims=True))
 
 
+def product(second: FloatArray, first: FloatArray) -> FloatArray:
+    """Return the quaternions that turn by `first` and then by `second`, base axes."""
+    vector = second[:, :1] * first[:, 1:] + first[:, :1] * second[:, 1:] + _cross(second[:, 1:], first[:, 1:])
+    scalar = second[:, :1] * first[:, :1] - (second[:, 1:] * first[:, 1:]).sum(1, keepdims=True)
+    return np.concatenate([scalar, vector], axis=1)
+
+
 def from_rotvec(rotvec: FloatArray) -> FloatArray:
     """Return the quaternions of rotation vectors (n, 3), rad."""
     angle = np.sqrt((rotvec * rotvec).sum(-1, keepdims=True))

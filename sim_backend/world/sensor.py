@@ -10,15 +10,16 @@ import numpy.typing as npt
 
 from sim_backend.world import compiled
 from sim_backend.world.conditions import NOISE_ROWS, Episode
+from sim_backend.world.errors import NONE
 from sim_backend.world.kinematics import GRAVITY_M_S2
 from sim_backend.world.linear import moment, product
-from wire import extension
+from wire import extension, pose
 from wire.arrays import BoolArray, FloatArray
 from wire.records import TICK_S
 
 RANGE = np.array([30.0] * 3 + [10.0] * 3)
 """End of the range of the UR3e's sensor, N and N·m, per channel."""
-MAX_DELAY = 8
+MAX_DELAY = 32
 DRIFT_TICKS = 50_000
 """Ticks after an episode's start at which its drift ends, as that of a real sensor ends once the sensor is warm."""
 ZERO_TICKS = 100
@@ -45,6 +46,8 @@ class ForceTorqueSensor:
         self._tick = np.zeros(n, np.int64)
         self._delay = np.ones(n, np.int64)
         self._noise = np.zeros((n, NOISE_ROWS, 6), np.float32)
+        self._gain = np.ones(n)
+        self._left = np.zeros((n, 6))
         self._bias = np.zeros((n, 6))
         self._drift = np.zeros((n, 6))
         self._zero = np.zeros((n, 6))
@@ -114,6 +117,8 @@ class ForceTorqueSensor:
         # at rest, tool down, since long before the episode; the payload's mass differs slightly from the configured one
         self._average[cell] = episode.bias + episode.wrench_noise[-ZERO_TICKS:].mean(axis=0)
         self._average[cell, 2] += (episode.mass_scale - 1.0) * self._weight
+        self._average[cell] += self._misread(episode)
+        self._gain[cell], self._left[cell] = episode.errors.ft_gain, episode.errors.ft_left
         self._raw[cell] = self._wrench[cell] = 0.0
         self.saturated[cell] = False
 
@@ -161,6 +166,7 @@ class ForceTorqueSensor:
             self._history[fresh] = carried[fresh][:, None]
         # MuJoCo's reading is already one tick old
         raw = self._history[self._rows, (self._slot - self._delay + 1) % MAX_DELAY]
+        raw *= self._gain[:, None]
         raw += self._noise[self._rows, self._tick % NOISE_ROWS]
         raw += self._bias
         raw += self._drift * np.minimum(self._tick, DRIFT_TICKS)[:, None]
@@ -171,7 +177,17 @@ class ForceTorqueSensor:
         """Take the running average of the latest readings as the zero of `cells`; meaningless in contact or
         in motion.
         """
-        self._zero[cells] = self._average[cells]
+        self._zero[cells] = self._average[cells] - self._left[cells]
+
+    def _misread(self, episode: Episode) -> FloatArray:
+        """Return the error (6,), flange axes, with which the payload is read at rest, tool down."""
+        errors = episode.errors
+        if errors is NONE:
+            return np.zeros(6)
+        weight = np.array([0.0, 0.0, episode.mass_scale * self._weight])
+        shown = np.stack([weight, np.cross(self._com + errors.payload_shift, weight)])
+        turned = errors.ft_gain * shown @ pose.rotation_from_rotvec(errors.ft_turn)
+        return (turned - np.stack([weight, np.cross(self._com, weight)])).ravel()
 
     def _at_tcp(self, own: FloatArray, rotation: FloatArray) -> FloatArray:
         """Return a wrench at the TCP, base axes, of one about the flange, flange axes; (n, 6) each."""

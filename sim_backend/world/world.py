@@ -160,7 +160,7 @@ class World:
         rotation = pose.tool_down(yaw)
         flange = position - rotation @ np.array([0.0, 0.0, scene.TCP_OFFSET_M])
         joints = kinematics.inverse(flange, rotation, np.broadcast_to(_NEAR_JOINTS, (len(cells), 6)))
-        self.arm.place(cells, joints, np.array([self._episodes[c].target_delay for c in cells], np.int64))
+        self.arm.place(cells, joints, np.array([self._episodes[c].target_delays for c in cells], np.int64))
         self._qpos[cells] = np.column_stack([joints, np.zeros(len(cells))])
         self._qvel[cells] = 0.0
         self._warmstart[cells] = 0.0
@@ -261,7 +261,7 @@ class World:
 
     @property
     def target_delay(self) -> CellIndices:
-        """(n,) ticks from a command's arrival to its effect in the present episodes."""
+        """(n,) ticks from a command's arrival to its effect in the present episodes, without jitter."""
         return np.array([episode.target_delay for episode in self._episodes])
 
     def truth(self, cell: int = 0) -> dict[str, Any]:
@@ -314,15 +314,13 @@ class World:
 
     @property
     def depth(self) -> FloatArray:
-        """(n,) true depth of the peg's bottom below the hole's mouth, m; negative above it."""
-        return self._block_position[:, 2] - self._peg_position[:, 2]
+        """(n,) true depth of the peg's bottom below the hole's mouth, along its axis, m; negative above it."""
+        return -self._layout.in_hole(self._peg_position)[:, 2]
 
     @property
     def offset(self) -> FloatArray:
         """(n, 2) true position of the peg's axis in the hole's frame, m."""
-        delta = self._peg_position[:, :2] - self._block_position[:, :2]
-        cosine, sine = self._layout.hole_turn
-        return np.stack([cosine * delta[:, 0] + sine * delta[:, 1], cosine * delta[:, 1] - sine * delta[:, 0]], axis=1)
+        return self._layout.in_hole(self._peg_position)[:, :2]
 
     @property
     def hole_yaw(self) -> FloatArray:
@@ -361,7 +359,8 @@ class World:
     def contact_force(self) -> FloatArray:
         """(n, 3) true force of the surroundings on the peg in the last tick, N, base frame: no weight, no inertia.
 
-        Contacts are the only constraints on the arm's own joints, so their generalised forces are those of a wrench.
+        Contacts are the only constraints on the arm's own joints, unless a plant's errors give them friction, so their
+        generalised forces are those of a wrench.
         """
         jacobian = kinematics.jacobian(self._joints, (0.0, 0.0, scene.TCP_OFFSET_M))
         torques = self._constraint_torques[:, :6, None]

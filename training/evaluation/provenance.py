@@ -23,6 +23,7 @@ DECIDING = (
     *(f"service/safety/{name}.py" for name in ("bounds", "dsl", "pose")),
     *(f"sim_backend/world/{name}.py" for name in ("arm", "compliance", "conditions", "engine", "kinematics", "layout")),
     *(f"sim_backend/world/{name}.py" for name in ("linear", "parts", "quaternion", "scene", "sensor", "servo")),
+    *(f"sim_backend/world/{name}.py" for name in ("delays", "errors", "model_errors")),
     *(f"sim_backend/world/{name}.py" for name in ("telling", "together", "world")),
     "sim_backend/world/compiled/__init__.py",
     *(f"sim_backend/world/compiled/{name}.c" for name in ("advance", "arguments", "arm", "cells", "functions")),
@@ -37,7 +38,7 @@ DECIDING = (
     *(f"service/policy/compiled/{name}.h" for name in ("action", "arrays", "bounds", "calls", "functions", "lock")),
     *(f"service/policy/compiled/{name}.h" for name in ("numbers", "observation", "pose", "window")),
     "wire/loops.h",
-    *(f"wire/{name}.py" for name in ("extension", "law", "limits", "pose", "records", "task")),
+    *(f"wire/{name}.py" for name in ("extension", "law", "limits", "plant", "pose", "records", "task")),
     "training/evaluation/evaluate.py",
     *(f"training/environment/{name}.py" for name in ("insertion", "reward")),
 )

@@ -197,6 +197,10 @@ static PyObject *advance(PyObject *self, PyObject *const *given, Py_ssize_t coun
     call.ticks = -1;
     if (take_rows(given[9], &readings, &call.readings, &call.ticks) < 0)
         return NULL;
+    if (call.ticks < 1) {
+        PyErr_SetString(PyExc_ValueError, "there are no readings to take");
+        return NULL;
+    }
     if (kept->open) {
         PyErr_SetString(PyExc_RuntimeError, "another thread advances these cells");
         return NULL;

@@ -19,9 +19,10 @@ void sensor_sense(
     const double *felt = history + 6 * around(slot - around(*integer(sensor->delay, cell), slots) + 1, slots);
     const float *noise = singles(sensor->noise, cell) + 6 * around(*tick, noise_rows);
     const double *bias = numbers(sensor->bias, cell), *drift = numbers(sensor->drift, cell);
+    const double gain = *numbers(sensor->gain, cell);
     const double warmed = fmin((double)*tick, constants->drift_ticks);
     for (int k = 0; k < 6; k++)
-        out[k] = felt[k] + noise[k] + bias[k] + drift[k] * warmed;
+        out[k] = felt[k] * gain + noise[k] + bias[k] + drift[k] * warmed;
     *tick += 1;
 }
 

@@ -10,6 +10,7 @@
     X(delay, INTEGER, 1, READ) \
     X(history, NUMBER, AT_LEAST(6), WRITTEN) \
     X(noise, SINGLE, AT_LEAST(6), READ) \
+    X(gain, NUMBER, 1, READ) \
     X(bias, NUMBER, 6, READ) \
     X(drift, NUMBER, 6, READ) \
     X(zero, NUMBER, 6, READ) \

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from sim_backend.ur_controller import events
+from wire.plant import PlantErrors
 from wire.rtde.modes import RuntimeState
+from wire.task import Task
 
 COUNT = "n = 0\nwhile True:\n  n = n + 1\n  write_output_integer_register(24, n)\n  sync()\nend"
 
@@ -130,3 +132,16 @@ def test_a_watchdog_that_cannot_be_is_an_error_of_the_program(bench, call):
     bench.program(call)
     bench.run(2)
     assert bench.of(events.RuntimeFailed)
+
+
+def test_the_latency_of_what_a_client_writes_varies_with_the_plant(bench):
+    bench.plant.lay_out(Task(0, plant=PlantErrors(target_delay_ticks=3, target_jitter_ticks=4)))
+    taken = []
+    for value in range(1, 40):
+        bench.controller.apply_inputs(("input_int_register_24",), (value,))
+        ticks = 0
+        while bench.get("input_int_register_24") != value:
+            bench.run(1)
+            ticks += 1
+        taken.append(ticks - 1)
+    assert set(taken) == set(range(5, 10))

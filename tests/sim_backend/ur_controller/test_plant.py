@@ -8,6 +8,7 @@ from sim_backend.ur_controller.motion.inverse import inverse_at
 from sim_backend.ur_controller.plant import Plant
 from sim_backend.world import kinematics, scene
 from sim_backend.world.world import START_POSITION_M, World
+from wire.plant import PlantErrors
 from wire.task import Task
 
 STILL = np.zeros(6)
@@ -184,3 +185,15 @@ def test_servo_torques_carry_the_payload_and_stay_within_what_the_joints_can(pla
 
 def test_the_estimate_is_the_cameras(plant):
     assert np.linalg.norm(plant.estimate - plant.truth()["hole_position"]) < 0.01
+
+
+def test_an_episode_lays_out_the_errors_of_its_plant(plant):
+    errors = PlantErrors(hole_tilt_deg=1.0, ft_left_n=2.0, tcp_shift_m=1e-3, payload_mass_scale=1.2)
+    plant.lay_out(Task(3, plant=errors))
+    plant.zero_ft()
+    assert np.linalg.norm(hold(plant, 600)[:3]) == pytest.approx(2.0, abs=0.2)
+    world = World(1)
+    world.reset(np.array([0]), [Task(3, plant=errors)])
+    assert plant.world.model().body("peg").pos == pytest.approx(world.model().body("peg").pos)
+    assert (plant.world.data().mocap_quat == world.data().mocap_quat).all()
+    assert plant.truth()["task"]["plant"] == errors.to_json()

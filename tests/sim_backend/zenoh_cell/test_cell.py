@@ -6,7 +6,10 @@ from hypothesis import strategies as st
 
 from sim_backend.world import scene
 from sim_backend.world.parts import PARTS
+from sim_backend.world.world import World
 from sim_backend.zenoh_cell.cell import SimulatedCell
+from tests.sim_backend.world.compiled.twins import assert_equal, told
+from tests.sim_backend.world.plants import EVERY
 from wire.records import COMMAND, STATE, TICK_S, Kind, Program, StopReason, decode, new
 from wire.task import Task
 
@@ -309,3 +312,15 @@ def test_no_numbers_in_a_target_raise_or_leave_the_workspace(cell, poses):
         assert inside
         assert (state["target_position"] <= [0.45, 0.04, 0.40]).all()
         assert np.isfinite(state["tcp_position"]).all()
+
+
+def test_a_reset_lays_out_the_errors_of_the_tasks_plant_as_every_world_does(shared):
+    task = Task(3, plant=EVERY)
+    shared.reset(Task.from_json(task.to_json()))
+    world = World(1)
+    world.reset(np.array([0]), [task])
+    for _ in range(20):
+        shared.tick()
+        world.tick()
+    assert_equal(told(shared.world), told(world), "the end")
+    assert shared.truth()["task"] == task.to_json()

@@ -23,6 +23,7 @@ from tests.sim_backend.world.compiled.twins import (
 from wire import pose
 from wire.law import ControlLimits
 from wire.limits import WORKSPACE_M
+from wire.plant import PlantErrors
 from wire.records import Program, StopReason
 from wire.task import Task
 
@@ -207,7 +208,8 @@ def test_sensors_are_the_same_bit_for_bit() -> None:
     sensors = twins(lambda: ForceTorqueSensor(n, 0.93, (0.0, 0.0, 0.05), (0.0, 0.0, 0.2)))
     for sensor in sensors:
         for cell in range(n):
-            sensor.reset(cell, draw(Task(cell, randomise_plant=True)))
+            plant = PlantErrors(ft_gain_error=0.05 * cell, ft_left_n=1.0, ft_delay_ticks=cell) if cell % 2 else None
+            sensor.reset(cell, draw(Task(cell, randomise_plant=True, plant=plant)))
         sensor._tick[::5] = DRIFT_TICKS - 100
     for tick in range(400):
         carried = rng.normal(size=(n, 6)) * rng.choice([1.0, 10.0, 30.0], size=(n, 1))
