@@ -95,6 +95,7 @@ EXPLAINED = (
     ),
     Rule("all are equal if they are equal to any of them", r"window == window\[1\]"),
     Rule("a stop is repeated in every period, whatever its phase", r"STOP_AGAIN_TICKS == 1"),
+    Rule("a run that is disengaged is there; its type says that it may be absent", r"active is None\) and False"),
     Rule(
         "at the boundary both branches give the same number",
         r"sine >= 1e-12|outside = distance >= radius|distance, radius\), 2\.0|1e-12\), 2\.0",

@@ -69,10 +69,11 @@ async def test_39_a_stop_of_a_run_latches_and_the_record_says_who_and_why(
 async def test_39_a_stop_of_an_idle_cell_reaches_the_arm_and_outdates_earlier_starts(faulty_cell: FaultyCell) -> None:
     async with faulty_cell() as faulty:
         cell = faulty.bench.cell
-        told, stops = len(faulty.driver.said("stop")), cell.mark.stops
-        cell.stop(StopRequest())
-        assert len(faulty.driver.said("stop")) == told + 1
-        assert cell.mark.stops == stops + 1
+        for _ in range(3):
+            told, stops = len(faulty.driver.said("stop")), cell.mark.stops
+            cell.stop(StopRequest())
+            assert len(faulty.driver.said("stop")) == told + 1
+            assert cell.mark.stops == stops + 1
         await faulty.bench.let_pass(0.2)
         assert cell.state is CellState.READY
         assert cell.journal.latch is None
@@ -221,6 +222,31 @@ async def test_a_run_that_fails_before_it_engages_ends_ready_with_its_reason(fau
         assert len(faulty.driver.said("stop")) > told
         assert faulty.bench.cell.state is CellState.READY
         assert faulty.bench.cell.journal.latch is None
+
+
+async def test_a_run_to_its_end_is_told_as_succeeded_once_the_arm_stands(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        stops = faulty.bench.cell.mark.stops
+        ended = await faulty.bench.insert(EASY)
+        assert (ended.state, ended.code, ended.text) == (RunState.SUCCEEDED, None, "")
+        assert speed(faulty.driver.truth) < 2e-3
+        assert faulty.bench.cell.mark.stops == stops
+        assert said_blind(faulty) == []
+
+
+async def test_66_the_stop_at_the_end_of_a_run_becomes_blind_where_the_sensor_lies(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        run = await begun(faulty)
+
+        def lying(sample: Sample) -> list[Sample]:
+            stopping = faulty.bench.cell.state is CellState.RETRACT and faulty.driver.said("stop")[-1] > last
+            return [with_wrench(sample, fz=sample.wrench[2] + 25.0)] if stopping else [sample]
+
+        last = faulty.driver.clock()
+        faulty.driver.spoil = lying
+        ended = await faulty.bench.ended(run)
+        assert said_blind(faulty)
+        assert ended.state is RunState.SUCCEEDED
 
 
 async def test_a_run_that_ends_and_an_arm_that_does_not_stand_is_latched_unconfirmed(faulty_cell: FaultyCell) -> None:
