@@ -14,7 +14,6 @@ import pytest
 
 from sim_backend.world import compiled
 from sim_backend.world.sensor import MAX_DELAY
-from sim_backend.world.sensor import MAX_DELAY
 from sim_backend.world.world import World
 from tests.sim_backend.world.compiled.twins import assert_equal, needs_the_extension, of_world, twins
 from wire import extension
