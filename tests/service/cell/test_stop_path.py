@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from service.cell.cell import Cell
+from service.cell.halting import Halting
 from service.drivers.base import Program, Sample
 from service.faults import FaultCode
 from service.messages import CellState, EventKind, Run, RunState, StopRequest
+from service.safety.verdict import Verdict
 from tests.service.cell.conftest import EASY, FaultyBench, FaultyCell
 from tests.service.cell.faulty_driver import speed, with_wrench
 
@@ -324,3 +326,31 @@ async def test_the_first_overload_of_the_transport_s_thread_is_the_cause_whateve
         assert told[:2] == (CellState.STOPPING, FaultCode.FORCE_CEILING)
         assert told[2].startswith("force 40")
         assert told[3] == run.id
+
+
+class Interrupted(Halting):
+    """Has an overload come from the transport's thread between the loop's look for one and whatever follows."""
+
+    came: Verdict | None = None
+
+    @property
+    def _overload(self) -> Verdict | None:
+        seen = self.came
+        self.came = self.came or Verdict(FaultCode.FORCE_CEILING, text=TEXT)
+        return seen
+
+    @_overload.setter
+    def _overload(self, overload: Verdict | None) -> None:
+        self.came = overload
+
+
+async def test_an_overload_that_comes_while_the_loop_looks_for_one_is_not_lost(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        cell = faulty.bench.cell
+        await begun(faulty)
+        cell._halting.__class__ = Interrupted
+        cell.watch()
+        assert cell.state is CellState.APPROACH
+        cell.watch()
+        assert cell.state is CellState.STOPPING
+        assert faults(faulty)[0][1:3] == (FaultCode.FORCE_CEILING, TEXT)
