@@ -89,8 +89,8 @@ EXPLAINED = (
     ),
     Rule(
         "a measured gain, angle, force or torque that meets its limit to the last bit may fall on either side",
-        r"→ .*(<= MIN_GAIN|>= \(MAX_CROSSTALK|<= 0\.0\]|MAX_GAIN <(=?) sizes\[row\] <(=?) MAX_GAIN|< MAX_GAIN \* min|"
-        r"< self\.scale\.limit_n|(off|unlike) (<|>=) limit_nm|> MIN_TURN_RAD else)",
+        r"→ .*(<= MIN_GAIN|>= \(MAX_CROSSTALK|<= 0\.0\]|MAX_GAIN <(=?) (sizes\[row\]|gain) <(=?) MAX_GAIN|"
+        r"< MAX_GAIN \* min|< self\.scale\.limit_n|(off|unlike) (<|>=) limit_nm|> MIN_TURN_RAD else)",
         "Weighing",
     ),
     Rule("all are equal if they are equal to any of them", r"window == window\[1\]"),

@@ -84,8 +84,11 @@ class Halting:
 
     def latch_overload(self) -> None:
         """Latch the overload that was kept, where its run is still under way; before anything else that may end it."""
-        overload, self._overload = self._overload, None
-        if overload is not None and overload.fault is not None and self._states.state in WITH_RUN:
+        overload = self._overload
+        if overload is None:
+            return  # without a write: one may come from the other thread at this moment
+        self._overload = None
+        if overload.fault is not None and self._states.state in WITH_RUN:
             self.halt(overload.fault, overload.text)
 
     # --- commands

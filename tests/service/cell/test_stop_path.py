@@ -3,14 +3,18 @@
 The runs are stopped early, so that a test takes a fraction of a second; insertions to their end are in `test_cell`.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from service.cell.cell import Cell
+from service.cell.halting import Halting
 from service.drivers.base import Program, Sample
 from service.faults import FaultCode
 from service.messages import CellState, EventKind, Run, RunState, StopRequest
+from service.safety.verdict import Verdict
 from tests.service.cell.conftest import EASY, FaultyBench, FaultyCell
 from tests.service.cell.faulty_driver import speed, with_wrench
 
@@ -296,3 +300,57 @@ async def test_an_arm_that_stays_engaged_is_told_to_stop_again(faulty_cell: Faul
         assert faulty.driver.truth.program is Program.ENGAGED
         faulty.driver.deaf_to_stop = False
         await faulty.bench.until(lambda: faulty.driver.truth.program is Program.IDLE)
+
+
+NEXT: dict[str, Callable[[Cell], object]] = {
+    "sample": lambda cell: cell.newest_sample is None or cell.on_sample(cell.newest_sample),
+    "turn of the watch": lambda cell: cell.watch(),
+    "fault": lambda cell: cell.halt(FAULT, TEXT),
+    "stop": lambda cell: cell.stop(StopRequest()),
+}
+
+
+@pytest.mark.parametrize("comes_next", NEXT.values(), ids=NEXT)
+async def test_the_first_overload_of_the_transport_s_thread_is_the_cause_whatever_comes_next(
+    faulty_cell: FaultyCell, comes_next: Callable[[Cell], object]
+) -> None:
+    async with faulty_cell() as faulty:
+        cell, truth = faulty.bench.cell, faulty.driver
+        run = await begun(faulty)
+        judged = [cell.overloads(with_wrench(truth.truth, fz=force_n).load) for force_n in (20.0, 40.0, 50.0)]
+        assert judged == [False, True, True]
+        comes_next(cell)
+        assert cell.state is CellState.STOPPING
+        await faulty.bench.state(CellState.LATCHED)
+        (told,) = faults(faulty)
+        assert told[:2] == (CellState.STOPPING, FaultCode.FORCE_CEILING)
+        assert told[2].startswith("force 40")
+        assert told[3] == run.id
+
+
+class Interrupted(Halting):
+    """Has an overload come from the transport's thread between the loop's look for one and whatever follows."""
+
+    came: Verdict | None = None
+
+    @property
+    def _overload(self) -> Verdict | None:
+        seen = self.came
+        self.came = self.came or Verdict(FaultCode.FORCE_CEILING, text=TEXT)
+        return seen
+
+    @_overload.setter
+    def _overload(self, overload: Verdict | None) -> None:
+        self.came = overload
+
+
+async def test_an_overload_that_comes_while_the_loop_looks_for_one_is_not_lost(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        cell = faulty.bench.cell
+        await begun(faulty)
+        cell._halting.__class__ = Interrupted
+        cell.watch()
+        assert cell.state is CellState.APPROACH
+        cell.watch()
+        assert cell.state is CellState.STOPPING
+        assert faults(faulty)[0][1:3] == (FaultCode.FORCE_CEILING, TEXT)
