@@ -15,7 +15,7 @@ MUJOCO = find_spec("mujoco")
 if MUJOCO is None or MUJOCO.origin is None:
     raise ModuleNotFoundError("the compiled tick is built against the headers of mujoco, which is not installed")
 INCLUDED = ["wire", numpy.get_include(), str(Path(MUJOCO.origin).parent / "include")]
-DIGEST = runpy.run_path("wire/extension.py")["digest"]
+IDENTITY = runpy.run_path("wire/extension.py")
 
 
 def extension(folder: str, name: str) -> Extension:
@@ -23,11 +23,10 @@ def extension(folder: str, name: str) -> Extension:
     return Extension(
         f"{folder.replace('/', '.')}.{name}",
         sorted(glob(f"{folder}/*.c")),
-        depends=sorted(glob(f"{folder}/*.h") + glob("wire/*.h")),
+        depends=["wire/extension.py", *sorted(glob(f"{folder}/*.h") + glob("wire/*.h"))],
         include_dirs=INCLUDED,
-        define_macros=[("Py_LIMITED_API", "0x030B0000"), ("SOURCES", f'"{DIGEST(Path(folder))}"')],
-        # as numpy's: one rounding for each operation
-        extra_compile_args=["-std=c99", "-O2", "-ffp-contract=off"],
+        define_macros=[("Py_LIMITED_API", "0x030B0000"), ("SOURCES", f'"{IDENTITY["digest"](Path(folder))}"')],
+        extra_compile_args=list(IDENTITY["FLAGS"]),
         py_limited_api=True,
         optional=True,
     )

@@ -19,7 +19,7 @@ MUTMUT = (sys.executable, "-m", "mutmut")
 MUTATED = ("service/safety/*.py", *(f"service/cell/{name}.py" for name in ("standstill", "arm_stops", "halting")))
 TESTS = (
     "tests/service/safety",
-    *(f"tests/service/cell/test_{name}.py" for name in ("standstill", "latch")),
+    *(f"tests/service/cell/test_{name}.py" for name in ("arm_stops", "standstill", "latch", "stop_path")),
 )
 COPIED = ("api", "cli", "config", "models", "sim_backend", "training", "wire")
 SURVIVED, NOT_REACHED = 0, 33
@@ -89,12 +89,13 @@ EXPLAINED = (
     ),
     Rule(
         "a measured gain, angle, force or torque that meets its limit to the last bit may fall on either side",
-        r"→ .*(<= MIN_GAIN|>= \(MAX_CROSSTALK|<= 0\.0\]|MAX_GAIN <(=?) sizes\[row\] <(=?) MAX_GAIN|< MAX_GAIN \* min|"
-        r"< self\.scale\.limit_n|(off|unlike) (<|>=) limit_nm|> MIN_TURN_RAD else)",
+        r"→ .*(<= MIN_GAIN|>= \(MAX_CROSSTALK|<= 0\.0\]|MAX_GAIN <(=?) (sizes\[row\]|gain) <(=?) MAX_GAIN|"
+        r"< MAX_GAIN \* min|< self\.scale\.limit_n|(off|unlike) (<|>=) limit_nm|> MIN_TURN_RAD else)",
         "Weighing",
     ),
     Rule("all are equal if they are equal to any of them", r"window == window\[1\]"),
     Rule("a stop is repeated in every period, whatever its phase", r"STOP_AGAIN_TICKS == 1"),
+    Rule("a run that is disengaged is there; its type says that it may be absent", r"active is None\) and False"),
     Rule(
         "at the boundary both branches give the same number",
         r"sine >= 1e-12|outside = distance >= radius|distance, radius\), 2\.0|1e-12\), 2\.0",

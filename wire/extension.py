@@ -14,11 +14,13 @@ import numpy.typing as npt
 
 SHARED = Path(__file__).parent
 """Folder of the headers that all extensions include."""
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-fast-math", "-fno-tree-slp-vectorize")
+"""Flags of the compiler: as in numpy, one rounding for each operation, whatever the environment's `CFLAGS` ask for."""
 
 
 def digest(folder: Path) -> str:
-    """Return the SHA-256 of the C files of a folder and of the shared headers, names and content in sorted order."""
-    found = hashlib.sha256()
+    """Return the SHA-256 of the compiler's flags, the C files of a folder and the shared headers, in sorted order."""
+    found = hashlib.sha256(" ".join(FLAGS).encode())
     for path in (*sorted(folder.glob("*.[ch]")), *sorted(SHARED.glob("*.h"))):
         data = path.read_bytes()
         found.update(f"{path.name} {len(data)}\n".encode() + data)
@@ -39,7 +41,9 @@ def load(name: str, folder: Path) -> tuple[ModuleType | None, str]:
         found = import_module(name)
     except ImportError as error:
         return None, f"it is not built: {error}"
-    if digest(folder) != found.SOURCES:
+    except Exception as error:  # one that was built for other libraries may raise anything
+        return None, f"it cannot be loaded: {error!r}"
+    if digest(folder) != getattr(found, "SOURCES", None):
         return None, "it was built from other sources"
     return found, ""
 

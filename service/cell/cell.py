@@ -44,7 +44,6 @@ from service.messages import (
     StopMark,
     StopRequest,
 )
-from service.safety.verdict import Verdict
 
 JOURNAL_CLOSE_S = 0.5
 TELEMETRY_TICKS = 10
@@ -104,7 +103,6 @@ class Cell:
         self._starting = Starting(config, driver, opener, self.journal, self.runs, self._intake, self)
         self._resetting = Resetting(config.limits, driver, self.journal, self._intake, self)
         self._remarks = Remarks(lambda text: self.journal.tell(EventKind.WARNING, self.state, text), driver.clock)
-        self._overload: Verdict | None = None
         self._link_text = "not connected yet"
         self._status_seq = 0
         self._untold = 0
@@ -137,15 +135,12 @@ class Cell:
         """
         if self.state not in WITH_RUN or self._starting.preparing:
             return False
-        verdict = self._intake.judge_ceiling(load)
-        if verdict.fault is not None and self._overload is None:
-            self._overload = verdict
-        return verdict.fault is not None
+        return self._halting.demands_stop(self._intake.judge_ceiling(load))
 
     def on_sample(self, sample: Sample) -> None:
         """Judge a sample and act on it."""
         try:
-            self._latch_overload()
+            self._halting.latch_overload()
             self._take(sample)
         except Exception as error:
             self.driver.stop()
@@ -210,7 +205,6 @@ class Cell:
 
     def halt(self, code: FaultCode, text: str) -> None:
         """Stop at once and latch, if there is anything to stop. A later fault does not replace the first."""
-        self._latch_overload()
         self._halting.halt(code, text)
 
     def disengage(self) -> None:
@@ -221,7 +215,6 @@ class Cell:
 
     def watch(self) -> None:
         """Check for deadlines and silence; `watch.keep_watch` calls this every few milliseconds of real time."""
-        self._latch_overload()
         now = self.driver.clock()
         self._halting.on_silence(now)
         if self._starting.preparing or (self.unlinked.is_set() and self.state not in WITH_RUN):
@@ -280,7 +273,6 @@ class Cell:
 
     def stop(self, request: StopRequest) -> StatusResult:
         """Stop whatever moves, in every state; latch if a run is under way. No start received before survives it."""
-        self._latch_overload()
         self._halting.stop(request)
         return StatusResult(status=self.status())
 
@@ -318,7 +310,6 @@ class Cell:
 
     async def close(self) -> None:
         """Stop, wait for standstill as long as a stop may take, and release everything."""
-        self._latch_overload()
         self._halting.close()
         self._starting.cancel()
         with contextlib.suppress(TimeoutError):
@@ -373,12 +364,6 @@ class Cell:
         self.journal.inform(lambda observer: observer.on_tick(record))
 
     # --- small parts
-
-    def _latch_overload(self) -> None:
-        """Latch an overload that was judged on the transport's thread, where its run is still under way."""
-        overload, self._overload = self._overload, None
-        if overload is not None and overload.fault is not None and self.state in WITH_RUN:
-            self._halting.halt(overload.fault, overload.text)
 
     def _impaired(self) -> Iterator[str]:
         """Yield what does not work at present."""

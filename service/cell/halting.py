@@ -13,6 +13,7 @@ from service.drivers.base import Driver, Sample
 from service.faults import FaultCode
 from service.messages import CellState, EventKind, RunState, StopRequest
 from service.safety.stop import StopState
+from service.safety.verdict import Verdict
 
 LINK_FAULTS = frozenset({FaultCode.STALE, FaultCode.LINK, FaultCode.SOURCE, FaultCode.PROTOCOL})
 """Faults of the link to the arm: while nothing runs they mean OFFLINE and another attempt, not a latch."""
@@ -65,6 +66,7 @@ class Halting:
         self._states = states
         self._host = host
         self._standstill = Standstill(driver, limits.stop_confirm_s)
+        self._overload: Verdict | None = None
         self.stops = 0
 
     @property
@@ -72,10 +74,28 @@ class Halting:
         """True while standstill is awaited, after a stop or at the ordinary end of a run."""
         return self._standstill.awaited
 
+    # --- an overload, judged on the transport's thread
+
+    def demands_stop(self, verdict: Verdict) -> bool:
+        """Return whether a load judged in a run demands a stop; the first overload is kept. Any thread may call it."""
+        if verdict.fault is not None and self._overload is None:
+            self._overload = verdict
+        return verdict.fault is not None
+
+    def latch_overload(self) -> None:
+        """Latch the overload that was kept, where its run is still under way; before anything else that may end it."""
+        overload = self._overload
+        if overload is None:
+            return  # without a write: one may come from the other thread at this moment
+        self._overload = None
+        if overload.fault is not None and self._states.state in WITH_RUN:
+            self.halt(overload.fault, overload.text)
+
     # --- commands
 
     def halt(self, code: FaultCode, text: str) -> None:
         """Stop at once and latch, if there is anything to stop. A later fault does not replace the first."""
+        self.latch_overload()
         state = self._states.state
         if state in WITH_RUN or state is CellState.READY:
             (self._driver.stop_blind if code in DISBELIEVED else self._driver.stop)()
@@ -88,6 +108,7 @@ class Halting:
 
     def stop(self, request: StopRequest) -> None:
         """Stop whatever moves, in every state; latch if a run is under way."""
+        self.latch_overload()
         self._driver.stop()
         self.stops += 1
         if self._states.state in WITH_RUN:
@@ -114,11 +135,12 @@ class Halting:
         self._conclude(self._standstill.on_sample(sample))
 
     def on_silence(self, now: float) -> None:
-        """Judge the deadline of a stop without a sample, and repeat the stop.
+        """Latch an overload; judge the deadline of a stop without a sample, and repeat the stop.
 
         Args:
             now: of the driver's clock.
         """
+        self.latch_overload()
         if self.under_way:
             if self._states.state is CellState.STOPPING:
                 self._standstill.stop()

@@ -197,6 +197,10 @@ static PyObject *advance(PyObject *self, PyObject *const *given, Py_ssize_t coun
     call.ticks = -1;
     if (take_rows(given[9], &readings, &call.readings, &call.ticks) < 0)
         return NULL;
+    if (call.ticks < 1) {
+        PyErr_SetString(PyExc_ValueError, "there are no readings to take");
+        return NULL;
+    }
     if (kept->open) {
         PyErr_SetString(PyExc_RuntimeError, "another thread advances these cells");
         return NULL;
@@ -206,7 +210,7 @@ static PyObject *advance(PyObject *self, PyObject *const *given, Py_ssize_t coun
     PyObject *stepped = PyObject_CallFunction(given[11], "n", call.ticks); /* gives up the interpreter's lock */
     int whole = advance_close(kept, stepped != NULL);
     if (stepped != NULL && !whole)
-        PyErr_SetString(PyExc_RuntimeError, "MuJoCo has called another control callback");
+        PyErr_SetString(PyExc_RuntimeError, "MuJoCo has not stepped these cells as asked: another control callback, or another thread");
     Py_XDECREF(stepped);
     if (!whole)
         return NULL;

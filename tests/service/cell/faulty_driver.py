@@ -102,6 +102,7 @@ class FaultyDriver:
 
     def stop_blind(self) -> None:
         self._note("stop")
+        self._note("stop_blind")
         if not self.deaf_to_stop:
             self._driver.stop_blind()
 

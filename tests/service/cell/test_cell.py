@@ -201,6 +201,7 @@ async def test_39_a_stop_in_any_state_of_a_run_latches_and_the_arm_stands(
         assert answer.status.state is CellState.STOPPING
         ended = await faulty.assert_latched(run, FaultCode.OPERATOR_STOP)
         assert ended.state is RunState.STOPPED
+        assert ended.text == bench.cell.journal.latch.text == "stopped by operator: test"
         states = [event.state for event in bench.events]
         assert CellState.RUNNING not in states[states.index(CellState.STOPPING) :]
 

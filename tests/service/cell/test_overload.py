@@ -153,3 +153,13 @@ async def test_50_an_overload_is_the_cause_although_the_process_is_told_to_end_f
         assert latch is not None
         assert ended is not None
         assert (latch.code, ended.code) == (FaultCode.FORCE_CEILING,) * 2
+
+
+async def test_a_turn_of_the_watch_latches_an_overload_though_no_sample_comes(faulty_cell: FaultyCell) -> None:
+    async with faulty_cell() as faulty:
+        cell = faulty.bench.cell
+        run = await faulty.running()
+        assert overloads_meanwhile(cell, above(faulty.driver.truth))
+        cell.watch()
+        assert cell.state is CellState.STOPPING
+        await faulty.assert_latched(run, FaultCode.FORCE_CEILING)

@@ -142,6 +142,16 @@ def test_a_step_too_many_is_an_error_and_writes_beyond_no_array(monkeypatch: pyt
     assert (readings[TICKS:] == np.pi).all()
 
 
+@pytest.mark.parametrize("number", [-1.0, 1e9, np.nan])
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_scene_without_the_tool_is_an_error(place: int, number: float) -> None:
+    world = reaching(2)
+    assert world._together is not None
+    world._together._constants[place] = number
+    with pytest.raises(RuntimeError, match="callback"):
+        advance(world)
+
+
 def test_no_ticks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     world = reaching(2)
     made, before = calls(world, monkeypatch), {name: array.copy() for name, array in of_world(world).items()}

@@ -23,24 +23,73 @@ FOLDER = Path(compiled.__file__).parent
 COMPILER = str(sysconfig.get_config_var("CC") or "cc").split()[0]
 
 
-def build(folder: Path, compiler: str | None = None) -> list[Path]:
-    """Build as an installation does, into a folder; return what was built."""
+STEP = Path("service/policy/compiled")
+
+needs_a_compiler = pytest.mark.skipif(shutil.which(COMPILER) is None, reason=f"there is no {COMPILER}")
+
+
+def build(folder: Path, compiler: str | None = None, flags: str = "", root: Path = ROOT) -> list[Path]:
+    """Build the sources below `root` as an installation does, into a folder; return what was built."""
     pytest.importorskip("setuptools")
     program = [sys.executable, "setup.py", "--quiet", "build_ext", f"--build-lib={folder}", f"--build-temp={folder}/o"]
     environment = os.environ | ({"CC": compiler, "LDSHARED": f"{compiler} -shared"} if compiler else {})
-    done = subprocess.run(program, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=100)
+    environment |= {"CFLAGS": flags} if flags else {}
+    done = subprocess.run(program, cwd=root, env=environment, capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stderr
     return sorted(folder.rglob("*.so"))
 
 
-@pytest.mark.skipif(shutil.which(COMPILER) is None, reason=f"there is no {COMPILER}")
+def run(program: str) -> str:
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@needs_a_compiler
 def test_an_installation_builds_the_extensions_of_the_present_sources(tmp_path: Path) -> None:
     built = {path.name.partition(".")[0]: path for path in build(tmp_path)}
     assert set(built) == {"_tick", "_step"}
-    for name, folder in (("_tick", FOLDER), ("_step", ROOT / "service" / "policy" / "compiled")):
-        program = f"import sys; sys.path.insert(0, {str(built[name].parent)!r}); import {name}; print({name}.SOURCES)"
-        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
-        assert done.stdout.strip() == extension.digest(folder), done.stderr
+    for name, folder in (("_tick", FOLDER), ("_step", ROOT / STEP)):
+        assert sources(built[name]) == extension.digest(folder)
+
+
+def only_step(built: list[Path]) -> Path:
+    return next(path for path in built if path.name.startswith("_step"))
+
+
+def sources(built: Path) -> str:
+    """Return the digest that an extension carries."""
+    name = built.name.partition(".")[0]
+    return run(f"import sys; sys.path.insert(0, {str(built.parent)!r}); import {name}; print({name}.SOURCES)")
+
+
+@needs_a_compiler
+def test_flags_of_the_environment_change_no_number(tmp_path: Path) -> None:
+    """`-ffast-math` takes numbers that are none for numbers; `-march=native` fuses on processors that can."""
+    built = build(tmp_path, flags="-O3 -ffast-math -march=native")
+    if not built:
+        pytest.skip(f"{COMPILER} does not know these flags")
+    run(
+        "import importlib.util, sys; import numpy as np; name = 'service.policy.compiled._step'; "
+        f"spec = importlib.util.spec_from_file_location(name, {str(only_step(built))!r}); "
+        "sys.modules[name] = importlib.util.module_from_spec(spec); spec.loader.exec_module(sys.modules[name]); "
+        "from tests.service.policy.compiled import test_equality as equality; "
+        "assert equality.compiled.step is sys.modules[name]; "
+        "equality.test_every_shipped_contract_is_played_the_same('vftm-dsl', ()); "
+        "equality.test_every_shipped_contract_is_played_the_same('vftm-dsl', (7,))"
+    )
+
+
+@needs_a_compiler
+def test_other_flags_are_another_extension_and_are_built_anew(tmp_path: Path) -> None:
+    tree, setting = tmp_path / "tree", "wire/extension.py"
+    for path in ("setup.py", setting, *(str(path.relative_to(ROOT)) for path in (ROOT / "wire").glob("*.h"))):
+        (tree / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / path, tree / path)
+    shutil.copytree(ROOT / STEP, tree / STEP, ignore=shutil.ignore_patterns("*.so"))
+    before = sources(only_step(build(tmp_path / "built", root=tree)))
+    (tree / setting).write_text((ROOT / setting).read_text().replace('"-O2"', '"-O1"'))
+    assert sources(only_step(build(tmp_path / "built", root=tree))) != before
 
 
 def test_without_a_compiler_an_installation_goes_on(tmp_path: Path) -> None:
@@ -61,6 +110,26 @@ def test_an_extension_of_other_sources_is_not_used(monkeypatch: pytest.MonkeyPat
     assert compiled.load() == (compiled.tick, "")
     monkeypatch.setattr(extension, "digest", lambda folder: "of a later file")
     assert compiled.load() == (None, "it was built from other sources")
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("", "it was built from other sources"),
+        ("raise ImportError('no such symbol')", "it is not built: no such symbol"),
+        ("raise SystemError('of another interpreter')", "it cannot be loaded: SystemError('of another interpreter')"),
+        ("import numpy; numpy.no_such_function", "it cannot be loaded: AttributeError"),
+    ],
+)
+def test_an_extension_that_is_none_of_ours_or_fails_to_load_is_not_used(
+    content: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "strange_extension.py").write_text(content)
+    monkeypatch.syspath_prepend(tmp_path)
+    tick, absence = compiled.load("strange_extension")
+    sys.modules.pop("strange_extension", None)
+    assert tick is None
+    assert absence.startswith(reason)
 
 
 @needs_the_extension
@@ -134,7 +203,9 @@ def test_what_would_lead_beyond_an_array_is_refused() -> None:
     effort, noise = tuple(array for array in world.drives), np.zeros((2, 6))
     drives = (np.zeros((n, 6)), np.zeros((n, 3))), np.zeros(sum(tick.DRIVES_CONSTANTS.values()))
     report = tuple(np.zeros((n, *shape)) for shape in [(6,), (6,), (3,), (3,), (6,), (3,), (3,), (6,), (6,), (3,), ()])
-    told, measured = world.telling._arrays, (world._arrays, world._constants)
+    told, measured, one = world.telling._arrays, (world._arrays, world._constants), world._together
+    assert one is not None
+    call = (*world.arm.bound, *measured, *sensor, one._arrays, one._constants, one._call)
     kept, shown = other(tick.SENSOR, "history", np.zeros((n, 2, 6))), other(tick.CELLS, "jitter", np.zeros((n, 0, 3)))
     bad: list[tuple[Callable[..., Any], tuple[Any, ...], str]] = [
         (tick.sense, (*sensor, load, -1), "no slot -1"),
@@ -155,6 +226,10 @@ def test_what_would_lead_beyond_an_array_is_refused() -> None:
         (tick.feel, (*drives, tuple(one[:, :5] for one in effort), noise), "joints"),
         (tick.feel, (*drives, (effort[0], effort[1][:, :5], *effort[2:]), noise), "speeds"),
         (tick.follow, (*world.arm.bound, due[:1], np.zeros((n, 6))), "1 inverses, not 2"),
+        (tick.advance, (*call, np.zeros((5, n, 6))[:0], 0, lambda _: None), "no readings"),
+        (tick.advance, (*call, np.zeros((5, n, 6)), MAX_DELAY, lambda _: None), f"no slot {MAX_DELAY}"),
+        (tick.advance, (*call[:-1], call[-1][1:], np.zeros((5, n, 6)), 0, lambda _: None), "constants"),
+        (tick.advance, (*call, np.zeros((5, n + 1, 6)), 0, lambda _: None), "readings"),
     ]
     for period in (0.0, -3.0, np.nan, np.inf):
         constants = constant(tick.ARM_CONSTANTS, "kinematics_ticks", period)(world.arm.bound[1])
