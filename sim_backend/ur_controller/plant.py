@@ -42,7 +42,7 @@ class Plant:
     target. Running programs continue.
 
     Args:
-        world: world of one cell; it is replaced when an episode asks for another part.
+        world: world of one cell; it is replaced when an episode asks for another peg.
 
     Attributes:
         world: simulated world.
@@ -105,8 +105,8 @@ class Plant:
             ValueError: a value of the task is out of range.
         """
         task.check()
-        if task.part != self.world.part:
-            self.world = World(1, task.part)
+        if not self.world.holds(task):
+            self.world = World(1, task.part, plant=task.plant)
         nominal = scene.PAYLOAD_KG, (0.0, 0.0, scene.PAYLOAD_COM_M), self.tcp_offset[:3]
         self.world.sensor.configure(*nominal, self.world.rotation)  # load that a reset assumes to be carried
         self.world.reset(_ONLY, [task])

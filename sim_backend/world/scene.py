@@ -13,6 +13,7 @@ import numpy as np
 
 from sim_backend.world.kinematics import GRAVITY_M_S2, UR3E
 from sim_backend.world.parts import HOLE_DEPTH_M, PARTS, PEG_HEIGHT_M, Part, hole_walls, wall_centres
+from sim_backend.world.peg import EXACT, PegShape, vertices
 from wire.records import TICK_S
 
 GRIPPER_LENGTH_M = 0.150
@@ -72,18 +73,19 @@ class Scene:
     gripper_body: int
 
 
-def build(part_name: str = "tr", clearance_m: float = 2.0e-3) -> Scene:
+def build(part_name: str = "tr", clearance_m: float = 2.0e-3, shape: PegShape = EXACT) -> Scene:
     """Build and compile the scene without its visual parts, which `appearance` adds.
 
     Args:
         part_name: one of `parts.PARTS`.
         clearance_m: initial clearance per face of the walls, m.
+        shape: errors of the peg's shape.
 
     Raises:
         KeyError: there is no such part.
     """
     part = PARTS[part_name]
-    model = specify(part_name, clearance_m).compile()
+    model = specify(part_name, clearance_m, shape).compile()
     return Scene(
         model=model,
         part=part,
@@ -95,7 +97,7 @@ def build(part_name: str = "tr", clearance_m: float = 2.0e-3) -> Scene:
     )
 
 
-def specify(part_name: str, clearance_m: float) -> mujoco.MjSpec:
+def specify(part_name: str, clearance_m: float, shape: PegShape = EXACT) -> mujoco.MjSpec:
     """Return the specification that `build` compiles."""
     part = PARTS[part_name]
     spec = mujoco.MjSpec()
@@ -114,7 +116,7 @@ def specify(part_name: str, clearance_m: float) -> mujoco.MjSpec:
     _add_surroundings(spec)
     _add_block(spec, part, clearance_m)
     flange = _add_arm(spec)
-    _add_tool(spec, flange, part)
+    _add_tool(spec, flange, part, shape)
     return spec
 
 
@@ -196,7 +198,7 @@ def _add_arm(spec: mujoco.MjSpec) -> "mujoco.MjsBody":
     return flange
 
 
-def _add_tool(spec: mujoco.MjSpec, gripper: "mujoco.MjsBody", part: Part) -> None:
+def _add_tool(spec: mujoco.MjSpec, gripper: "mujoco.MjsBody", part: Part, shape: PegShape) -> None:
     """Add gripper, sensor, compliance of the fingers, and peg. The sensor measures the load on the flange."""
     gripper.mass = GRIPPER_MASS_KG
     gripper.ipos = [0, 0, GRIPPER_COM_M]
@@ -225,14 +227,13 @@ def _add_tool(spec: mujoco.MjSpec, gripper: "mujoco.MjsBody", part: Part) -> Non
         **_CONTACT,
     }
     height = part.peg_height_m
-    if part.is_cylinder:
+    if part.is_cylinder and shape == EXACT:
         peg.add_geom(
             type=mujoco.mjtGeom.mjGEOM_CYLINDER, pos=[0, 0, -height / 2], size=[part.radius_m, height / 2, 0], **common
         )
     else:
-        outline = part.outline * [1.0, -1.0]  # the peg frame's y axis is the hole frame's, turned over by Rx(π)
-        vertices = np.concatenate([np.column_stack([outline, np.full(len(outline), z)]) for z in (0.0, -height)])
-        spec.add_mesh(name="peg", uservert=vertices.ravel())
+        turned_over = vertices(part, shape) * [1.0, -1.0, 1.0]  # the peg frame is the hole's, turned over by Rx(π)
+        spec.add_mesh(name="peg", uservert=turned_over.ravel())
         peg.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="peg", **common)
     spec.add_sensor(name="force", type=mujoco.mjtSensor.mjSENS_FORCE, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="ft")
     spec.add_sensor(name="torque", type=mujoco.mjtSensor.mjSENS_TORQUE, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="ft")

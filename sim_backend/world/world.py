@@ -16,6 +16,7 @@ from sim_backend.world.conditions import CAMERA_FRAMES, Episode, draw
 from sim_backend.world.layout import Layout
 from sim_backend.world.linear import product
 from sim_backend.world.parts import HOLE_DEPTH_M
+from sim_backend.world.peg import shape_of
 from sim_backend.world.sensor import ForceTorqueSensor
 from sim_backend.world.servo import gains
 from sim_backend.world.telling import Telling
@@ -23,6 +24,7 @@ from sim_backend.world.together import Together
 from wire import extension, pose
 from wire.arrays import BoolArray, CellIndices, FloatArray
 from wire.law import ControlLimits
+from wire.plant import PlantErrors
 from wire.records import StopReason
 from wire.task import Part, Task
 
@@ -44,6 +46,7 @@ class World:
         n: number of cells.
         part: peg and hole of all cells; clearance, pose and plant differ from cell to cell.
         threads: number of threads that step the physics; 0 for one per core.
+        plant: errors of the plants; the shape of the peg is that of all cells, the others vary with the tasks.
 
     Attributes:
         sensor: force/torque sensor; `sensor.wrench` (n, 6) is the compensated reading.
@@ -52,10 +55,11 @@ class World:
         ticks: (n,) ticks since each cell's reset.
     """
 
-    def __init__(self, n: int = 1, part: Part = "tr", threads: int = 1) -> None:
+    def __init__(self, n: int = 1, part: Part = "tr", threads: int = 1, plant: PlantErrors | None = None) -> None:
         self.n = n
         self.part: Part = part
-        self._scene = scene.build(part)
+        self._shape = shape_of(plant)
+        self._scene = scene.build(part, shape=self._shape)
         model = self._scene.model
         self._batch = Batch(model, nsim=n, nthread=threads)
         batch = self._batch
@@ -113,7 +117,7 @@ class World:
                 "raw": self.sensor.latest_raw,
             }
         )
-        self.reset(self._all, [Task(i, part) for i in range(n)])
+        self.reset(self._all, [Task(i, part, plant=plant) for i in range(n)])
 
     def reset(self, cells: CellIndices, tasks: Sequence[Task]) -> None:
         """Lay out cells anew: another hole, another plant, the arm at rest at the start pose.
@@ -123,7 +127,7 @@ class World:
             tasks: k tasks; their part must be this world's.
 
         Raises:
-            ValueError: a task names another part.
+            ValueError: a task names another part, or another shape of its peg.
         """
         self.lay_out(cells, tasks)
         k = len(cells)
@@ -133,12 +137,12 @@ class World:
         """Do all of `reset` but to place the arms, for a caller who places them elsewhere.
 
         Raises:
-            ValueError: a task names another part.
+            ValueError: a task names another part, or another shape of its peg.
         """
-        if others := {task.part for task in tasks} - {self.part}:
-            raise ValueError(
-                f"this world holds part {self.part!r}, the task asks for {others.pop()!r}; start another world"
-            )
+        for task in tasks:
+            if not self.holds(task):
+                held, asked = (self.part, self._shape), (task.part, shape_of(task.plant))
+                raise ValueError(f"this world holds part {held}, the task asks for {asked}; start another world")
         episodes = [draw(task) for task in tasks]
         self.clearance[cells] = [task.clearance_m for task in tasks]
         self._layout.write(cells, self.clearance[cells], episodes)
@@ -150,6 +154,10 @@ class World:
             self.sensor.reset(int(cell), episode)
         self.ticks[cells] = 0
         self._estimate[cells] = self.camera(cells)
+
+    def holds(self, task: Task) -> bool:
+        """Tell whether a task's peg is the one of this world."""
+        return task.part == self.part and shape_of(task.plant) == self._shape
 
     def place(self, cells: CellIndices, position: FloatArray, yaw: FloatArray) -> None:
         """Put arms at rest with the TCP at `position` (k, 3), tool down, yaw (k,); their programs are idle afterwards.

@@ -55,7 +55,7 @@ class SimulatedCell:
 
     @property
     def world(self) -> World:
-        """The world behind the wire, for tests of what a client must not see; a task with another part replaces it."""
+        """The world behind the wire, for tests of what a client must not see; a task with another peg replaces it."""
         return self._world
 
     def model(self) -> mujoco.MjModel:
@@ -73,8 +73,8 @@ class SimulatedCell:
             ValueError: the task's part is unknown, or a value is out of range.
         """
         task.check()
-        if task.part != self.part:
-            self._world = World(1, task.part)
+        if not self._world.holds(task):
+            self._world = World(1, task.part, plant=task.plant)
             self.part = task.part
         self._world.reset(_ONLY, [task])
         self._joint_sense.begin(task.seed)

@@ -25,6 +25,7 @@ from wire import pose
 from wire.arrays import BoolArray, CellIndices, Float32Array, FloatArray, IntArray
 from wire.law import ControlLimits
 from wire.limits import FORCE_CEILING_N, TILT_RAD, TORQUE_CEILING_NM, WORKSPACE_M
+from wire.plant import PlantErrors
 from wire.records import Program
 from wire.task import Part, Task
 
@@ -95,6 +96,7 @@ class Insertions:
         slips: share of the episodes in which the hole slips once to another place and yaw; for training.
         misreads: share of the episodes in which the observed torque about z is multiplied by a factor within ±1; for
             training. It keeps a policy from relying on the torques of one peg, which mislead it with another peg.
+        plant: errors of the plants, for the shape of their pegs; the tasks name all of them.
     """
 
     def __init__(
@@ -108,10 +110,11 @@ class Insertions:
         force_cost_per_n: float = reward.FORCE_COST_PER_N,
         slips: float = 0.0,
         misreads: float = 0.0,
+        plant: PlantErrors | None = None,
     ) -> None:
         self.contract = contract
         self.n = n
-        self.world = World(n, part, threads)
+        self.world = World(n, part, threads, plant)
         self._reward_name = reward_name
         self._force_cost_per_n = force_cost_per_n
         self._slips = slips

@@ -182,7 +182,8 @@ def _policy(model: Path, sha256: str) -> Policy:
 @lru_cache(maxsize=1)
 def _insertions(model: Path, sha256: str, setting: Setting, cells: int) -> Insertions:
     contract = with_lock(_policy(model, sha256).contract, setting)
-    return Insertions(contract, cells, setting.part, 1, setting.force_ceiling_n, setting.reward)
+    ceiling, reward = setting.force_ceiling_n, setting.reward
+    return Insertions(contract, cells, setting.part, 1, ceiling, reward, plant=setting.plant)
 
 
 def _run(job: Job) -> list[EpisodeResult]:

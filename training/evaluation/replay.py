@@ -136,7 +136,7 @@ def play_environment(request: dict[str, Any]) -> dict[str, Any]:
     setting = request["setting"]
     policy = _policy(request["model"])
     task_type = module("task").Task
-    errors = {"plant": module("plant").PlantErrors.from_json(setting["plant"])} if "plant" in setting else {}
+    errors = _errors(setting)
     fixed = setting["part"], setting["clearance_m"], setting["conditions"]
     tasks = [task_type(seed, *fixed, **errors) for seed in request["seeds"]]
     changes = json.dumps(request["stand_in"] or {})
@@ -186,8 +186,13 @@ def _insertions(model: str, changes: str, setting: str, cells: int) -> Any:
     contract_type: Any = module("contract").PolicyContract
     ceiling, reward = wanted["force_ceiling_n"], wanted["reward"]
     return module("insertion").Insertions(
-        contract_type.model_validate(document | changed), cells, wanted["part"], 1, ceiling, reward
+        contract_type.model_validate(document | changed), cells, wanted["part"], 1, ceiling, reward, **_errors(wanted)
     )
+
+
+def _errors(setting: dict[str, Any]) -> dict[str, Any]:
+    """Return the argument with the errors of a setting's plant, none if it has none: an earlier tree knows of none."""
+    return {"plant": module("plant").PlantErrors.from_json(setting["plant"])} if "plant" in setting else {}
 
 
 def _digest(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""A plant with every error, each of a modest size."""
+"""Plants with every error, each of a modest size."""
 
 from wire.plant import PlantErrors
 
@@ -27,3 +27,6 @@ EVERY = PlantErrors(
     joint_stiffness_scale=0.5,
     joint_friction_nm=2.0,
 )
+"""Every error that varies from cell to cell of a world."""
+ODD_PEG = PlantErrors(peg_chamfer_m=0.3e-3, peg_rounding_m=0.2e-3, peg_oversize_m=0.05e-3, peg_taper_deg=0.2)
+"""Every error of the peg's shape, which all cells of a world share."""

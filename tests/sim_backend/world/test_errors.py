@@ -12,7 +12,7 @@ from sim_backend.world.conditions import draw
 from sim_backend.world.errors import JITTERS
 from sim_backend.world.world import World
 from tests.sim_backend.world.compiled.twins import assert_equal, told
-from tests.sim_backend.world.plants import EVERY
+from tests.sim_backend.world.plants import EVERY, ODD_PEG
 from wire import pose
 from wire.arrays import FloatArray
 from wire.law import ControlLimits
@@ -30,7 +30,7 @@ PRESSED = np.array([0.045, 0.0, -1e-3])
 
 def worlds(n: int = N, **errors: Any) -> World:
     """Cells of seeds 0, 1, …, each with these errors of its plant."""
-    world = World(n)
+    world = World(n, plant=PlantErrors(**errors))
     world.reset(np.arange(n), tasks(n, **errors))
     return world
 
@@ -299,7 +299,10 @@ def test_a_cell_whose_plant_had_errors_is_as_new_without_them() -> None:
 
 
 def test_every_error_changes_the_world() -> None:
-    assert {field.name for field in dataclasses.fields(PlantErrors)} - {"plants"} == set(EVERY.to_json())
+    assert {field.name for field in dataclasses.fields(PlantErrors)} - {"plants"} == {
+        *EVERY.to_json(),
+        *ODD_PEG.to_json(),
+    }
 
 
 @pytest.mark.parametrize(
