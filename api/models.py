@@ -7,6 +7,7 @@ from pydantic.config import JsonDict
 
 from service.client import CellClient
 from service.faults import FaultCode
+from service.logs import log_fault
 from service.messages import (
     NAME_PATTERN,
     CellState,
@@ -101,7 +102,9 @@ class CellStatus(BaseModel):
     recipes: tuple[str, ...] = ()
     driver: str | None = None
     mode: str | None = None
-    degradations: tuple[str, ...] = ()
+    degradations: tuple[str, ...] = Field(
+        (), description="What works less well than it should, of the control process and of this server."
+    )
     counters: Counters | None = None
     service_epoch: str | None = None
 
@@ -116,6 +119,7 @@ class CellStatus(BaseModel):
         """
         status = client.last_status
         age_s = client.heartbeat_age_s
+        own = () if (lost := log_fault()) is None else (f"this server: {lost}",)
         if status is None or not client.is_alive:
             heard = "was never heard" if status is None else f"was last heard {age_s:.1f} s ago"
             return cls(
@@ -126,6 +130,7 @@ class CellStatus(BaseModel):
                 can_start=False,
                 why_not=f"The control process {heard}." + (f" {note}" if note else ""),
                 recipes=() if status is None else status.recipes,
+                degradations=own,
                 service_epoch=None if status is None else status.service_epoch,
             )
         measured = status.measured
@@ -145,7 +150,7 @@ class CellStatus(BaseModel):
             recipes=status.recipes,
             driver=status.driver,
             mode=status.mode,
-            degradations=status.degradations,
+            degradations=(*status.degradations, *own),
             counters=status.counters,
             service_epoch=status.service_epoch,
         )

@@ -58,7 +58,7 @@ class Together:
 
         Raises:
             SimulationError: MuJoCo failed in a simulation.
-            RuntimeError: another thread advances these cells, or MuJoCo has called another callback.
+            RuntimeError: another thread advances or steps these cells, or MuJoCo has called another callback.
         """
         mine = self._arrays, self._constants, self._call
         self._tick.advance(*self._others, *sensor, *mine, readings, slot, self._step)

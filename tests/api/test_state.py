@@ -1,4 +1,6 @@
 import asyncio
+import errno
+import os
 import threading
 from pathlib import Path
 
@@ -6,6 +8,8 @@ import anyio.to_thread
 import pytest
 
 from api.protection import SECURITY_HEADERS
+from service import logs
+from service.logs import LogWriter
 from service.messages import CellState
 from tests.api.wire_cell import RECIPE, Api, WireCell, serving, until
 
@@ -26,6 +30,22 @@ async def test_status_turns_unknown_with_an_age_when_the_control_process_falls_s
     assert status["measured"] is None
     later = (await api.http.get("/status")).json()
     assert later["heartbeat_age_s"] > status["heartbeat_age_s"]
+
+
+async def test_76_a_log_of_the_server_that_takes_nothing_is_told_in_the_status(
+    api: Api, cell: WireCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert not any("this server" in line for line in (await api.http.get("/status")).json()["degradations"])
+    with open("/dev/full", "wb", buffering=0) as full:
+        monkeypatch.setattr(logs, "_writer", LogWriter(full.fileno()))
+        logs.log_writer().put("a line\n")
+        logs.log_writer().drain()
+        told = (await api.http.get("/status")).json()["degradations"]
+        cell.heartbeat = False
+        unknown = (await api.wait_for_state(CellState.UNKNOWN))["degradations"]
+    expected = f"this server: the log: 1 lines are lost: {os.strerror(errno.ENOSPC)}"
+    assert expected in told
+    assert unknown == [expected]
 
 
 async def test_status_says_what_is_measured_not_what_was_commanded(api: Api, cell: WireCell) -> None:

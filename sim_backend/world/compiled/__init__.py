@@ -110,7 +110,7 @@ class Tick(Protocol):
         own; it must live as long as the simulations.
 
         Raises:
-            RuntimeError: `call` is in use, or MuJoCo has called another callback.
+            RuntimeError: `call` is in use, or MuJoCo has not called `CONTROL` once in each step.
         """
         ...
 

@@ -62,10 +62,12 @@ static void control(const mjModel *model, mjData *data)
     memcpy(&advance, model->numeric_data, sizeof advance);
     if (advance == NULL || !advance->open)
         return;
-    const intptr_t cell = (intptr_t)model->numeric_data[1], site = (intptr_t)advance->constants->tcp_site;
-    const intptr_t body = (intptr_t)advance->constants->gripper_body;
-    if (site < 0 || site >= model->nsite || body < 0 || body >= model->nbody)
-        return; /* no such scene: the call is not whole */
+    const TogetherConstants *constants = advance->constants;
+    if (!(constants->tcp_site >= 0.0 && constants->tcp_site < (double)model->nsite && constants->gripper_body >= 0.0 &&
+          constants->gripper_body < (double)model->nbody))
+        return; /* not this scene: the call will not be whole */
+    const intptr_t cell = (intptr_t)model->numeric_data[1], site = (intptr_t)constants->tcp_site;
+    const intptr_t body = (intptr_t)constants->gripper_body;
     double *before = numbers(advance->together.before, cell), none[6];
     const int first = *integer(advance->together.done, cell) == 0;
     const int reset = first ? memcmp(data->qpos, numbers(advance->cells.qpos, cell), sizeof none) != 0

@@ -210,7 +210,7 @@ static PyObject *advance(PyObject *self, PyObject *const *given, Py_ssize_t coun
     PyObject *stepped = PyObject_CallFunction(given[11], "n", call.ticks); /* gives up the interpreter's lock */
     int whole = advance_close(kept, stepped != NULL);
     if (stepped != NULL && !whole)
-        PyErr_SetString(PyExc_RuntimeError, "MuJoCo has called another control callback");
+        PyErr_SetString(PyExc_RuntimeError, "MuJoCo has not stepped these cells as asked: another control callback, or another thread");
     Py_XDECREF(stepped);
     if (!whole)
         return NULL;
