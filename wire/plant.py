@@ -10,8 +10,8 @@ def _value(nominal: float, low: float, high: float) -> Any:
     return field(default=nominal, metadata={"low": low, "high": high})
 
 
-def _ticks(high: int) -> Any:
-    """Declare a number of ticks of 2 ms, from 0."""
+def _count(high: int) -> Any:
+    """Declare a whole number, from 0 to `high`."""
     return field(default=0, metadata={"low": 0, "high": high})
 
 
@@ -21,10 +21,11 @@ class PlantErrors:
 
     A field is a size. The signs and directions are drawn, uniformly, from a random stream of their own: the other draws
     of a seed, hole, grasp and noise among them, do not depend on a plant's errors. They come on top of what a task's
-    conditions and `randomise_plant` set. Frames: `docs/reference/frames.md`.
+    conditions and `randomise_plant` set. Frames: `docs/reference/frames.md`. Delays are in ticks of 2 ms.
 
     Attributes:
-        seed: seed of signs and directions; None: the task's. With a seed, episodes share one plant, as in one cell.
+        plants: number of plants among which the seeds are shared out, each with signs and directions of its own;
+            0: every seed has its own.
         friction_added: added to the sliding friction of peg on block.
         contact_time_scale: factor on the time constant of contact; at 0.5 walls are four times as stiff.
         hole_tilt_deg: tilt of the hole's axis from the vertical, about a horizontal axis through its mouth's centre.
@@ -50,7 +51,7 @@ class PlantErrors:
         joint_friction_nm: Coulomb friction of every joint, N·m.
     """
 
-    seed: int | None = None
+    plants: int = _count(1000)
     friction_added: float = _value(0.0, 0.0, 1.0)
     contact_time_scale: float = _value(1.0, 0.33, 2.0)
     hole_tilt_deg: float = _value(0.0, 0.0, 5.0)
@@ -63,9 +64,9 @@ class PlantErrors:
     ft_left_nm: float = _value(0.0, 0.0, 1.0)
     ft_noise_scale: float = _value(1.0, 0.0, 5.0)
     ft_drift_scale: float = _value(1.0, 0.0, 20.0)
-    ft_delay_ticks: int = _ticks(20)
-    target_delay_ticks: int = _ticks(25)
-    target_jitter_ticks: int = _ticks(25)
+    ft_delay_ticks: int = _count(20)
+    target_delay_ticks: int = _count(25)
+    target_jitter_ticks: int = _count(25)
     camera_error_scale: float = _value(1.0, 0.0, 5.0)
     camera_bias_m: float = _value(0.0, 0.0, 10e-3)
     camera_height_m: float = _value(0.0, 0.0, 5e-3)
@@ -98,9 +99,7 @@ class PlantErrors:
 
     def check(self) -> None:
         """Raise ValueError, naming the field and its limits, for a value that no world can have."""
-        if self.seed is not None and (type(self.seed) is not int or self.seed < 0):
-            raise ValueError(f"plant.seed must be null or a non-negative integer, not {self.seed!r}")
-        for each in fields(self)[1:]:
+        for each in fields(self):
             low, high, value = each.metadata["low"], each.metadata["high"], getattr(self, each.name)
             whole = type(each.default) is int
             right = type(value) is int or (type(value) is float and not whole and math.isfinite(value))

@@ -159,7 +159,7 @@ def draw(task: Task) -> Episode:
 
 def _disturbed(episode: Episode, plant: PlantErrors, seed: int) -> Episode:
     """Return an episode on a plant with errors."""
-    drawn = errors.directions(seed if plant.seed is None else plant.seed)
+    drawn = errors.directions(seed % plant.plants if plant.plants else seed)
     seen = plant.camera_error_scale * episode.estimate_offset + plant.camera_bias_m * drawn.camera
     seen[2] += plant.camera_height_m * drawn.camera_height
     return replace(

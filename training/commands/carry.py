@@ -19,7 +19,7 @@ def carry(
     revision: Annotated[str, typer.Argument(help="Revision whose sources the results are of.")],
     results: Annotated[
         list[Path] | None,
-        typer.Option(help="Folder of results or one file; may be repeated. Default: results/ and results/fresh-seeds."),
+        typer.Option(help="Folder of results or one file; may be repeated. Default: results/ and its folders."),
     ] = None,
     models: Annotated[Path, typer.Option(help="Folder of the policies.")] = Path("models"),
     episodes: Annotated[int, typer.Option(min=1, help="Per block in the batched environment.")] = 4,
@@ -36,7 +36,7 @@ def carry(
     are played at once, as in `evaluate`, with machine and versions as measured; otherwise the equal ones are counted.
     """
     signal.signal(signal.SIGTERM, _interrupt)
-    folders = results or [RESULTS, RESULTS / "fresh-seeds"]
+    folders = results or [RESULTS, RESULTS / "fresh-seeds", *sorted((RESULTS / "panels").glob("*/"))]
     paths = [path for folder in folders for path in (sorted(folder.glob("*.json")) if folder.is_dir() else [folder])]
     service = not environment_only
     try:

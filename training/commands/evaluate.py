@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, cast, get_args
@@ -14,6 +15,7 @@ from training.commands.refusal import refuse, refuse_without_extra
 from training.environment import design
 from training.environment.reward import RewardName
 from training.evaluation import evaluate as evaluation
+from training.evaluation import panel as panels
 from training.evaluation import provenance, through_service
 from training.evaluation.results import (
     HEADER,
@@ -28,10 +30,13 @@ from training.evaluation.results import (
     exclusive,
 )
 from training.report import paper
+from training.report.document import Document
+from training.report.panels import table
 from wire.limits import FORCE_CEILING_N, FORCE_HARD_MAXIMUM_N
 from wire.modes import LockMode
 from wire.task import Conditions, Part, Task
 
+DEFAULT_EPISODES = 500
 DEFAULT_CLEARANCES_MM = (2.0, 1.33, 0.33)
 _REMEDY = "choose another --name or folder, or drop them (evaluate: --anew)"
 
@@ -47,9 +52,13 @@ def evaluate(
         Conditions | None,
         typer.Option(help="Conditions of an episode; default: the plan's, `search` for FTM, else `standard`."),
     ] = None,
+    panel: Annotated[
+        str,
+        typer.Option(help="Measure on plants with errors: plant, plant-validation, or a path that ends in .toml."),
+    ] = "",
     episodes: Annotated[
-        int, typer.Option(min=1, help="Episodes per cell of the table; those already there are kept.")
-    ] = 500,
+        int, typer.Option(min=0, help="Episodes per cell; those already there are kept. 0: 500, or as the panel says.")
+    ] = 0,
     through: Annotated[
         Through,
         typer.Option(help="Player: the batched environment, or the deployed service with the simulated or a UR arm."),
@@ -60,8 +69,8 @@ def evaluate(
         float, typer.Option(min=1.0, max=FORCE_HARD_MAXIMUM_N, help="Force that ends an episode, N.")
     ] = FORCE_CEILING_N,
     first_seed: Annotated[
-        int, typer.Option(min=0, help="First seed; the others count up from it.")
-    ] = evaluation.FIRST_TEST_SEED,
+        int | None, typer.Option(min=0, help="First seed; the others count up. Default: 2000000, or the panel's.")
+    ] = None,
     workers: Annotated[
         int, typer.Option(min=0, help="Episodes played at once; 0: one per core, through RTDE one.")
     ] = 0,
@@ -82,23 +91,34 @@ def evaluate(
         refuse("evaluate", "the service runs a policy under its own lock: --lock goes with --through environment")
     if lock and lock not in get_args(LockMode):
         refuse("evaluate", f"--lock must be one of {', '.join(get_args(LockMode))}, not {lock!r}")
+    if panel and (plan or record or through != "environment"):
+        refuse("evaluate", "--panel goes with neither --plan nor --record, and with --through environment alone")
     try:
         policy = Policy.load(model)
+        plants = panels.load(panel) if panel else None
+        episodes = episodes or (DEFAULT_EPISODES if plants is None else plants.episodes)
         settings = _settings(
             policy,
             plan or [],
-            clearance or [],
+            clearance or ([] if plants is None else list(plants.clearances_mm)),
             part,
             conditions,
             lock=lock or policy.contract.dsl.mode,
             through=through,
             reward=reward,
             force_ceiling_n=force_ceiling,
-            first_seed=first_seed,
+            first_seed=evaluation.FIRST_TEST_SEED if plants is None else plants.first_seed,
         )
+        if first_seed is not None:
+            settings = [replace(setting, first_seed=first_seed) for setting in settings]
+        if plants is not None:
+            settings = [
+                replace(each, plant=errors, line=line) for line, errors in plants.lines.items() for each in settings
+            ]
         if record:
             _check_recordable(policy, settings)
-        path = results / f"{name or model.stem}.json"
+        kept_as = name or model.stem
+        path = results / f"{kept_as}.json" if plants is None else plants.path(results, kept_as)
         with exclusive(path):
             measured = measure(model, policy, settings, path, episodes, workers, anew=anew)
             blocks = [measured.block(setting).first(episodes) for setting in settings]
@@ -106,7 +126,10 @@ def evaluate(
                 _record(model, measured, path, blocks)
     except (PolicyError, ResultsError, ValueError, through_service.ServiceError) as error:
         refuse("evaluate", str(error))
-    typer.echo("\n".join([HEADER, *(block.line() for block in blocks)]))
+    if plants is None:
+        typer.echo("\n".join([HEADER, *(block.line() for block in blocks)]))
+    else:
+        typer.echo(Document(plants.about, [table(blocks)]).to_markdown(results))
     for episode in (e for block in blocks for e in block.episodes if e.claimed not in (None, e.success)):
         told = "succeeded" if episode.claimed else f"ended by {episode.code}"
         where = "in the hole" if episode.success else "not in the hole"

@@ -80,7 +80,7 @@ class ReplayJob:
         return {
             "play": "environment" if self.block.setting.through == "environment" else "service",
             "model": str(self.policy.resolve()),
-            "setting": asdict(self.block.setting),
+            "setting": self.block.model_dump(mode="json", include={"setting"})["setting"],
             "seeds": [episode.seed for episode in self.block.episodes],
             "stand_in": self.stand_in,
         }

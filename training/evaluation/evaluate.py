@@ -187,6 +187,8 @@ def _insertions(model: Path, sha256: str, setting: Setting, cells: int) -> Inser
 
 def _run(job: Job) -> list[EpisodeResult]:
     setting = job.setting
-    tasks = [Task(seed, setting.part, setting.clearance_m, setting.conditions) for seed in job.seeds]
+    tasks = [
+        Task(seed, setting.part, setting.clearance_m, setting.conditions, plant=setting.plant) for seed in job.seeds
+    ]
     insertions = _insertions(job.model, job.sha256, setting, len(tasks))
     return play(_policy(job.model, job.sha256), insertions, tasks, to_author_depth=True)

@@ -26,6 +26,7 @@ MODULES = {
     "results": ("training.evaluation.results", "training.results"),
     "through_service": ("training.evaluation.through_service", "training.through_service"),
     "task": ("wire.task", "sim_backend.protocol.task"),
+    "plant": ("wire.plant",),
     "contract": ("service.policy.contract",),
     "model": ("service.policy.model",),
 }
@@ -135,9 +136,9 @@ def play_environment(request: dict[str, Any]) -> dict[str, Any]:
     setting = request["setting"]
     policy = _policy(request["model"])
     task_type = module("task").Task
-    tasks = [
-        task_type(seed, setting["part"], setting["clearance_m"], setting["conditions"]) for seed in request["seeds"]
-    ]
+    errors = {"plant": module("plant").PlantErrors.from_json(setting["plant"])} if "plant" in setting else {}
+    fixed = setting["part"], setting["clearance_m"], setting["conditions"]
+    tasks = [task_type(seed, *fixed, **errors) for seed in request["seeds"]]
     changes = json.dumps(request["stand_in"] or {})
     insertions = _insertions(request["model"], changes, json.dumps(setting), len(tasks))
     recorder = Recorder(insertions)

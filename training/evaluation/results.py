@@ -30,6 +30,7 @@ from training import files
 from training.environment.reward import RewardName
 from wire.limits import FORCE_CEILING_N
 from wire.modes import LockMode
+from wire.plant import PlantErrors
 from wire.task import Conditions, Part
 
 RESULTS = Path("results")
@@ -104,6 +105,8 @@ class Setting:
         reward: reward whose sums are the returns.
         force_ceiling_n: resultant at which an episode ends.
         first_seed: first seed; the others follow it.
+        plant: errors of the plant; None: it has none.
+        line: name of the line of a panel; empty: it belongs to none.
     """
 
     part: Part
@@ -114,6 +117,8 @@ class Setting:
     reward: RewardName = "paper"
     force_ceiling_n: float = FORCE_CEILING_N
     first_seed: int
+    plant: PlantErrors | None = None
+    line: str = ""
 
 
 class MeasuringSession(ResultsSection):
@@ -194,6 +199,11 @@ class Block(ResultsSection):
     setting: Setting
     sessions: tuple[MeasuringSession, ...] = ()
     episodes: tuple[EpisodeResult, ...] = ()
+
+    @field_serializer("setting")
+    def _to_document(self, setting: Setting) -> dict[str, JsonValue]:
+        document = asdict(setting) | {"plant": None if setting.plant is None else setting.plant.to_json()}
+        return {name: value for name, value in document.items() if value or name not in ("plant", "line")}
 
     @field_validator("episodes", mode="before")
     @classmethod

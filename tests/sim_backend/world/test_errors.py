@@ -268,9 +268,13 @@ def test_errors_of_a_plant_leave_every_other_draw_of_the_seed_as_it_is() -> None
             assert np.array_equal(getattr(usual, field.name), getattr(one, field.name)), field.name
 
 
-def test_directions_are_those_of_the_plants_seed_if_it_has_one() -> None:
-    one, other = (draw(Task(seed, plant=PlantErrors(seed=9, hole_tilt_deg=1.0))).errors.hole_tilt for seed in (1, 2))
-    assert np.array_equal(one, other)
+def test_seeds_share_out_the_plants_if_their_number_is_given() -> None:
+    shared = [draw(task).errors.hole_tilt.tobytes() for task in tasks(12, plants=4, hole_tilt_deg=1.0)]
+    assert shared[:4] * 3 == shared
+    assert len(set(shared)) == 4
+
+
+def test_signs_and_directions_are_as_often_one_way_as_the_other() -> None:
     directions = np.array([draw(task).errors.hole_tilt[:2] for task in tasks(400, hole_tilt_deg=1.0)])
     assert np.linalg.norm(directions.mean(0)) < 0.15 * np.deg2rad(1.0)
 
@@ -295,18 +299,18 @@ def test_a_cell_whose_plant_had_errors_is_as_new_without_them() -> None:
 
 
 def test_every_error_changes_the_world() -> None:
-    assert {field.name for field in dataclasses.fields(PlantErrors)} - {"seed"} == set(EVERY.to_json())
+    assert {field.name for field in dataclasses.fields(PlantErrors)} - {"plants"} == set(EVERY.to_json())
 
 
 @pytest.mark.parametrize(
     ("document", "text"),
     [
-        ({"hole_tilt": 1.0}, r"plant\.hole_tilt is no error of a plant; there are seed, friction_added, "),
+        ({"hole_tilt": 1.0}, r"plant\.hole_tilt is no error of a plant; there are plants, friction_added, "),
         ({"hole_tilt_deg": 5.1}, r"plant\.hole_tilt_deg must be a number from 0 to 5, not 5\.1"),
         ({"hole_tilt_deg": float("nan")}, r"plant\.hole_tilt_deg must be a number from 0 to 5, not nan"),
         ({"ft_left_n": True}, r"plant\.ft_left_n must be a number from 0 to 5, not True"),
         ({"ft_delay_ticks": 1.0}, r"plant\.ft_delay_ticks must be an integer from 0 to 20, not 1\.0"),
-        ({"seed": -1}, r"plant\.seed must be null or a non-negative integer, not -1"),
+        ({"plants": -1}, r"plant\.plants must be an integer from 0 to 1000, not -1"),
         ([], r"plant must be an object of errors, not \[\]"),
     ],
 )

@@ -13,7 +13,7 @@ pytest.importorskip("torch", reason="needs the extra `training`: pip install -e 
 from cli.__main__ import app
 from service.policy.model import Policy
 from training.evaluation import evaluate as evaluation
-from training.evaluation import provenance, through_service
+from training.evaluation import panel, provenance, through_service
 from training.evaluation.baseline import scripted_search
 from training.evaluation.results import EpisodeResult, Results, exclusive
 from training.learning.export import export
@@ -232,3 +232,26 @@ def test_what_cannot_be_measured_is_refused_with_a_reason_and_leaves_nothing(
 ) -> None:
     assert text in " ".join(refused(*arguments).split())
     assert not (here / "results").exists()
+
+
+def test_the_panel_is_measured_line_by_line_on_the_same_seeds(here: Path, played: list[int]) -> None:
+    said = run("model.onnx", "--panel", "plant", "--clearance", "1.33", "--episodes", "1", "--workers", "1")
+    lines = panel.load("plant").lines
+    blocks = Results.load(here / "results" / "panels" / "plant" / "model.json").blocks
+    assert {block.setting.line: block.setting.plant for block in blocks} == lines
+    assert played == [0] * len(lines)
+    peaks = {block.setting.line: block.episodes[0].peak_force_n for block in blocks}
+    assert len(set(peaks.values())) > len(lines) // 2
+    assert all(f"| {line} | " in said for line in lines)
+    again = run("model.onnx", "--panel", "plant", "--clearance", "1.33", "--episodes", "1", "--workers", "1")
+    assert again.splitlines()[-1] == said.splitlines()[-1] == "kept in results/panels/plant/model.json"
+    assert len(played) == len(lines)
+
+
+@pytest.mark.parametrize("other", [["--plan", "table-1"], ["--record"], ["--through", "zenoh"]])
+def test_a_panel_goes_alone(here: Path, other: list[str]) -> None:
+    assert "--panel goes with neither" in refused("model.onnx", "--panel", "plant", *other)
+
+
+def test_a_panel_that_there_is_not_is_refused(here: Path) -> None:
+    assert "there is no panel plants" in refused("model.onnx", "--panel", "plants")

@@ -8,7 +8,8 @@ from training.evaluation import provenance
 from training.evaluation.results import RESULTS, Results
 
 ROOT = Path(__file__).parents[3]
-FILES = sorted([*(ROOT / RESULTS).glob("*.json"), *(ROOT / RESULTS / "fresh-seeds").glob("*.json")])
+KINDS = ("*.json", "fresh-seeds/*.json", "panels/*/*.json")
+FILES = sorted(path for kind in KINDS for path in (ROOT / RESULTS).glob(kind))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))

@@ -11,12 +11,14 @@ import pytest
 pytest.importorskip("matplotlib", reason="needs the extra `training`: pip install -e '.[training]'")
 
 from training.commands.report import report
+from training.evaluation import panel
 from training.evaluation.evaluate import FIRST_TEST_SEED
 from training.evaluation.results import Block, EpisodeResult, MeasuringSession, Results, ResultsError, Setting
 from training.report import curves, paper
 from training.report.measured import Measured
 from training.report.paper_chapters import beaten
 from training.report.writing import document
+from wire.plant import PlantErrors
 from wire.task import Conditions, Part
 
 
@@ -399,3 +401,32 @@ def test_a_file_that_holds_something_else_is_named(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text("{}")
     with pytest.raises(ResultsError, match=r"other\.json"):
         Measured.read(tmp_path)
+
+
+def on_panel(line: str, plant: PlantErrors | None, successes: int, clearance_mm: float = 1.33) -> Block:
+    found = block(successes, 20, clearance_mm=clearance_mm)
+    return found.model_copy(update={"setting": replace(found.setting, line=line, plant=plant)})
+
+
+def test_the_page_of_the_panels_has_a_line_per_error_beside_nominal(tmp_path: Path) -> None:
+    shared = PlantErrors(plants=2, hole_tilt_deg=1.0)
+    found = results(
+        on_panel("nominal", None, 20),
+        on_panel("nominal", None, 19, 0.33),
+        on_panel("hole tilted 1°", PlantErrors(hole_tilt_deg=1.0), 10),
+        on_panel("everything", shared, 10),
+    )
+    path = panel.load("plant").path(tmp_path / "results", "vftm")
+    path.parent.mkdir(parents=True)
+    found.save(path)
+    report(tmp_path / "results", tmp_path / "var", tmp_path / "docs", tmp_path / "models")
+    page = (tmp_path / "docs" / "panels.md").read_text()
+    assert "| plant | success, c = 1.33 mm | peak force, N | faults | success, c = 0.33 mm |" in page
+    assert "| nominal | 100.0 % (83.9–100.0) | 10.1 / 10.2 / 10.2 | 0 | 95.0 % (76.4–99.1) |" in page
+    assert "| hole tilted 1° | 50.0 % (29.9–70.1) | 10.1 / 10.2 / 10.2 | 0 | – | – | – |" in page
+    assert "everything, c = 1.33 mm, plant by plant: 50.0 %, 50.0 %." in page
+
+
+def test_without_results_on_panels_there_is_no_page_of_them(tmp_path: Path) -> None:
+    report(tmp_path / "results", tmp_path / "var", tmp_path / "docs", tmp_path / "models")
+    assert not (tmp_path / "docs" / "panels.md").exists()
