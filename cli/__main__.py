@@ -22,7 +22,9 @@ COMMANDS = {
     "runs": Entry("cli.operate:runs", "List the runs, newest first.", CELL),
     "watch": Entry("cli.watch:watch", "Show the cell live in the terminal until Ctrl-C.", CELL),
     "control": Entry(
-        "service.commands.control:control", "Run the control process of a cell until SIGTERM or Ctrl-C.", PROCESSES
+        "service.commands.control:control",
+        "Run the control process of a cell until SIGTERM, Ctrl-C or the end of the terminal.",
+        PROCESSES,
     ),
     "sim": Entry(
         "sim_backend.commands:app", "Serve a simulated cell, or an emulated UR controller, or draw it.", PROCESSES

@@ -103,8 +103,9 @@ async def run(
     world_listens: Callable[[], bool] = lambda: True,
     degradations: Sequence[str] = (),
 ) -> None:
-    """Run until SIGTERM or SIGINT; stop the arm before returning. The caller holds the lock of `alone`.
+    """Run until SIGTERM, SIGINT or the end of the terminal; stop the arm before returning.
 
+    The caller holds the lock of `alone`.
     Policies and the watchdog load, and clients connect, while a simulator starts. Nothing is served before they are
     there.
 
@@ -121,7 +122,10 @@ async def run(
     """
     loop = asyncio.get_running_loop()
     ended = asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
+    numbers = [signal.SIGTERM, signal.SIGINT]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as under nohup
+        numbers.append(signal.SIGHUP)
+    for number in numbers:
         loop.add_signal_handler(number, ended.set)
     cell = Cell(config, driver, time_of_day=time.time)
     cell.degradations = degradations if compiled.step is not None else (*degradations, compiled.describe())

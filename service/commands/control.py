@@ -17,7 +17,7 @@ from wire.tls import is_encrypted
 
 
 def control(config: ConfigPath = None) -> None:
-    """Run the control process of a cell until SIGTERM or Ctrl-C."""
+    """Run the control process of a cell until SIGTERM, Ctrl-C or the end of the terminal."""
     cell = load_cell(config)
     take_over_stderr()
     try:

@@ -85,11 +85,14 @@ class ForceTorqueSensor:
         """Arrays and constants for the compiled tick; the constants are those of the latest `configure`."""
         return self._arrays, self._constants
 
-    def pass_slots(self, ticks: int) -> int:
-        """Go on by readings that the compiled tick takes; return the slot before the first of them."""
-        before = self._slot
-        self._slot = (before + ticks) % MAX_DELAY
-        return before
+    @property
+    def slot(self) -> int:
+        """Slot of the latest reading in the history."""
+        return self._slot
+
+    def pass_slots(self, ticks: int) -> None:
+        """Go on by readings that the compiled tick has taken."""
+        self._slot = (self._slot + ticks) % MAX_DELAY
 
     def configure(
         self, payload_kg: float, payload_com_m: npt.ArrayLike, tcp_offset_m: npt.ArrayLike, rotation: FloatArray

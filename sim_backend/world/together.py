@@ -14,6 +14,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from sim_backend.world import compiled
+from sim_backend.world.sensor import ForceTorqueSensor
 from wire import extension
 from wire.arrays import FloatArray
 
@@ -48,12 +49,11 @@ class Together:
         self._constants = extension.constants(tick.TOGETHER_CONSTANTS, constants)
         self._call = np.zeros(tick.CALL)
 
-    def advance(self, sensor: compiled.Bound, slot: int, readings: FloatArray) -> None:
+    def advance(self, sensor: ForceTorqueSensor, readings: FloatArray) -> None:
         """Run as many ticks as `readings` (ticks, n, 6) has rows; write the compensated readings there.
 
         Args:
-            sensor: of the force/torque sensors.
-            slot: the sensors' slot before the first tick.
+            sensor: the force/torque sensors.
             readings: see above.
 
         Raises:
@@ -61,7 +61,8 @@ class Together:
             RuntimeError: another thread advances or steps these cells, or MuJoCo has called another callback.
         """
         mine = self._arrays, self._constants, self._call
-        self._tick.advance(*self._others, *sensor, *mine, readings, slot, self._step)
+        self._tick.advance(*self._others, *sensor.bound, *mine, readings, sensor.slot, self._step)
+        sensor.pass_slots(len(readings))
 
     def _step(self, ticks: int) -> None:
         self._batch.step(nstep=ticks)

@@ -218,7 +218,7 @@ class World:
                 self.tick()
                 row[:] = self.sensor.latest
             return
-        self._together.advance(self.sensor.bound, self.sensor.pass_slots(len(readings)), readings)
+        self._together.advance(self.sensor, readings)
 
     def drive(self, set_points: FloatArray) -> None:
         """Advance every cell by one tick of 2 ms with `set_points` (n, 6) for the joint servos, rad.

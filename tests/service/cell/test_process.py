@@ -210,12 +210,13 @@ async def test_a_cell_without_the_compiled_step_says_so_in_its_status(
         assert [line for line in client.last_status.degradations if line.startswith("policy steps: numpy, slower")]
 
 
-async def test_48_sigterm_in_mid_run_stops_the_arm_and_ends_cleanly(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+async def test_48_sigterm_in_mid_run_stops_the_arm_and_ends_cleanly(tmp_path: Path, number: signal.Signals) -> None:
     path, endpoint = configured(tmp_path)
     async with control_process(path, endpoint) as (process, client):
         answer = await client.start(StartRequest(recipe="triangle-2mm", seed=EASY))
         await until(lambda: client.state in (CellState.APPROACH, CellState.RUNNING))
-        process.send_signal(signal.SIGTERM)
+        process.send_signal(number)
         await asyncio.to_thread(process.wait, 20)
         assert process.returncode == 0
     async with control_process(path, endpoint) as (_, client):

@@ -152,6 +152,15 @@ def test_a_scene_without_the_tool_is_an_error(place: int, number: float) -> None
         advance(world)
 
 
+def test_readings_that_do_not_fit_are_refused_and_leave_the_world_as_it_is() -> None:
+    world, same = reaching(2), reaching(2)
+    for bad in (np.zeros((TICKS, 2, 6), np.float32), np.zeros((TICKS, 3, 6)), np.zeros((TICKS, 6, 2)).swapaxes(1, 2)):
+        with pytest.raises(TypeError, match="readings"):
+            world.advance(bad)
+    np.testing.assert_array_equal(advance(world), advance(same))
+    assert_equal(of_world(world), of_world(same), "the end")
+
+
 def test_no_ticks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     world = reaching(2)
     made, before = calls(world, monkeypatch), {name: array.copy() for name, array in of_world(world).items()}
