@@ -49,6 +49,8 @@ class PlantErrors:
         payload_shift_m: distance of the payload's centre from where the controller has it, across the tool.
         joint_stiffness_scale: factor on the stiffness of the joints' position loops; their damping ratio stays.
         joint_friction_nm: Coulomb friction of every joint, N·m.
+        joint_backlash_deg: play of every joint's gear.
+        joint_ripple_deg: amplitude of the uneven motion of every joint's gear.
         peg_chamfer_m: chamfer of 45° around the peg's bottom.
         peg_rounding_m: radius of the peg's upright edges.
         peg_oversize_m: distance by which every face of the peg is too far out.
@@ -79,6 +81,8 @@ class PlantErrors:
     payload_shift_m: float = _value(0.0, 0.0, 50e-3)
     joint_stiffness_scale: float = _value(1.0, 0.1, 3.0)
     joint_friction_nm: float = _value(0.0, 0.0, 10.0)
+    joint_backlash_deg: float = _value(0.0, 0.0, 0.5)
+    joint_ripple_deg: float = _value(0.0, 0.0, 0.1)
     peg_chamfer_m: float = _value(0.0, 0.0, 2e-3)
     peg_rounding_m: float = _value(0.0, 0.0, 2e-3)
     peg_oversize_m: float = _value(0.0, 0.0, 0.5e-3)

@@ -32,6 +32,8 @@ class Errors:
         finger_stiffness_scale: stiffness of the fingers, relative to nominal.
         joint_stiffness_scale: stiffness of the joints' position loops, relative to nominal.
         joint_friction_nm: Coulomb friction of the joints.
+        joint_backlash: play of the joints' gears, rad.
+        joint_ripple: amplitude of their uneven motion, rad.
         target_jitter: (JITTERS,) further delay of the targets, in their order, ticks.
     """
 
@@ -45,6 +47,8 @@ class Errors:
     finger_stiffness_scale: float = 1.0
     joint_stiffness_scale: float = 1.0
     joint_friction_nm: float = 0.0
+    joint_backlash: float = 0.0
+    joint_ripple: float = 0.0
     target_jitter: CellIndices = field(default_factory=partial(np.zeros, JITTERS, np.int64))
 
 
@@ -113,5 +117,7 @@ def errors_of(plant: PlantErrors, drawn: Directions, seed: int) -> Errors:
         finger_stiffness_scale=plant.finger_stiffness_scale,
         joint_stiffness_scale=plant.joint_stiffness_scale,
         joint_friction_nm=plant.joint_friction_nm,
+        joint_backlash=float(np.deg2rad(plant.joint_backlash_deg)),
+        joint_ripple=float(np.deg2rad(plant.joint_ripple_deg)),
         target_jitter=jitter,
     )

@@ -13,6 +13,7 @@ from mujoco.batch import Batch
 from sim_backend.world import compiled, engine, kinematics, scene
 from sim_backend.world.arm import ArmController
 from sim_backend.world.conditions import CAMERA_FRAMES, Episode, draw
+from sim_backend.world.gears import RIPPLE_WAVES, Gears
 from sim_backend.world.layout import Layout
 from sim_backend.world.linear import product
 from sim_backend.world.parts import HOLE_DEPTH_M
@@ -65,6 +66,7 @@ class World:
         batch = self._batch
         self._qpos, self._qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self._layout = Layout(batch, self._scene)
+        self._gears = Gears(n)
         self._block_position = self._layout.block_position
         self._servo_torques, self._constraint_torques = batch.bind("actuator_force"), batch.bind("qfrc_constraint")
         self._passive_torques, self._bias_torques = batch.bind("qfrc_passive"), batch.bind("qfrc_bias")
@@ -96,8 +98,9 @@ class World:
         self._compiled = compiled.tick
         self._together: Together | None = None
         if self._compiled is not None:
-            frames = {"estimate_ticks": ESTIMATE_TICKS}
-            self._arrays = compiled.arrays(self._compiled.CELLS, vars(self))
+            frames = {"estimate_ticks": ESTIMATE_TICKS, "ripple_waves": RIPPLE_WAVES}
+            gears = {"play": self._gears.play, "gears": self._gears.errors}
+            self._arrays = compiled.arrays(self._compiled.CELLS, vars(self) | gears)
             self._constants = extension.constants(self._compiled.CELLS_CONSTANTS, frames)
             bodies, mine = (site, self._scene.gripper_body), (self._arrays, self._constants)
             engine.stop_timers()
@@ -146,6 +149,7 @@ class World:
         episodes = [draw(task) for task in tasks]
         self.clearance[cells] = [task.clearance_m for task in tasks]
         self._layout.write(cells, self.clearance[cells], episodes)
+        self._gears.write(cells, [episode.errors for episode in episodes])
         self._stiffness_scale[cells] = [episode.stiffness_scale for episode in episodes]
         for cell, episode in zip(cells, episodes, strict=True):
             self._episodes[cell] = episode
@@ -172,7 +176,7 @@ class World:
         self._qpos[cells] = np.column_stack([joints, np.zeros(len(cells))])
         self._qvel[cells] = 0.0
         self._warmstart[cells] = 0.0
-        self._ctrl[cells] = joints
+        self._ctrl[cells] = self._gears.play[cells] = joints
         self._batch.forward(None if len(cells) == self.n else cells.astype(np.int32))
         self._measure(cells)
 
@@ -391,6 +395,7 @@ class World:
         return px, py, pz
 
     def _step(self) -> None:
+        self._gears.transmit(self._ctrl)
         self._batch.step()
         if self._compiled is not None:
             self._compiled.measure(self._arrays, self._constants)

@@ -23,7 +23,7 @@ DECIDING = (
     *(f"service/safety/{name}.py" for name in ("bounds", "dsl", "pose")),
     *(f"sim_backend/world/{name}.py" for name in ("arm", "compliance", "conditions", "engine", "kinematics", "layout")),
     *(f"sim_backend/world/{name}.py" for name in ("linear", "parts", "quaternion", "scene", "sensor", "servo")),
-    *(f"sim_backend/world/{name}.py" for name in ("delays", "errors", "model_errors", "peg")),
+    *(f"sim_backend/world/{name}.py" for name in ("delays", "errors", "gears", "model_errors", "peg")),
     *(f"sim_backend/world/{name}.py" for name in ("telling", "together", "world")),
     "sim_backend/world/compiled/__init__.py",
     *(f"sim_backend/world/compiled/{name}.c" for name in ("advance", "arguments", "arm", "cells", "functions")),

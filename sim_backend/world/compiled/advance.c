@@ -33,6 +33,7 @@ static void drive(const Advance *advance, intptr_t cell, double set_points[6])
     if (arm_lead(&advance->arm, advance->arm_constants, &measured, cell, cell))
         inverse6(numbers(advance->arm.jacobians, cell), inverse);
     arm_follow(&advance->arm, advance->arm_constants, cell, cell, inverse, set_points);
+    cells_transmit(&advance->cells, advance->cells_constants, cell, set_points);
 }
 
 /* Sense the end of the step before, and drive the arm into this one. */

@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "functions.h"
+
 void cells_measure(const Cells *cells, const CellsConstants *constants, const Physics *physics, intptr_t cell)
 {
     memcpy(numbers(cells->joints, cell), physics->qpos, 6 * sizeof(double));
@@ -24,4 +26,21 @@ Physics cells_physics(const Cells *cells, intptr_t cell)
         numbers(cells->tcp_rotation, cell),
         numbers(cells->load, cell),
     };
+}
+
+void cells_transmit(const Cells *cells, const CellsConstants *constants, intptr_t cell, double set_points[6])
+{
+    const double *gears = numbers(cells->gears, cell), half = gears[0], ripple = gears[1];
+    double *play = numbers(cells->play, cell), phase[6], wave[6];
+    if (half == 0.0 && ripple == 0.0)
+        return;
+    for (int k = 0; k < 6; k++) {
+        const double low = set_points[k] - half, high = set_points[k] + half;
+        play[k] = play[k] < low ? low : play[k];
+        play[k] = play[k] > high ? high : play[k];
+        phase[k] = constants->ripple_waves * play[k];
+    }
+    sines(phase, wave, 6);
+    for (int k = 0; k < 6; k++)
+        set_points[k] = play[k] + ripple * wave[k];
 }

@@ -4,7 +4,7 @@
 
 #include "rows.h"
 
-/* Attributes of `World`; the first four are views into MuJoCo's data. */
+/* Attributes of `World`; the first four are views into MuJoCo's data, the last two are of `Gears`. */
 #define CELLS_FIELDS(X) \
     X(qpos, NUMBER, AT_LEAST(6), READ) \
     X(tcp_position, NUMBER, 3, READ) \
@@ -17,10 +17,13 @@
     X(ticks, INTEGER, 1, WRITTEN) \
     X(offset, NUMBER, 3, READ) \
     X(jitter, NUMBER, AT_LEAST(3), READ) \
-    X(estimate, NUMBER, 3, WRITTEN)
+    X(estimate, NUMBER, 3, WRITTEN) \
+    X(play, NUMBER, 6, WRITTEN) \
+    X(gears, NUMBER, 2, READ)
 
 #define CELLS_NUMBERS(X) \
-    X(estimate_ticks)
+    X(estimate_ticks) \
+    X(ripple_waves)
 
 typedef struct {
     CELLS_FIELDS(AS_ROWS)
@@ -40,5 +43,8 @@ Physics cells_physics(const Cells *cells, intptr_t cell);
 
 /* Count the tick, and take the measured values, the sensor's load and the camera's estimate. */
 void cells_measure(const Cells *cells, const CellsConstants *constants, const Physics *physics, intptr_t cell);
+
+/* gears.py: turn set-points of the drives into those of the links, in place. */
+void cells_transmit(const Cells *cells, const CellsConstants *constants, intptr_t cell, double set_points[6]);
 
 #endif

@@ -26,6 +26,8 @@ EVERY = PlantErrors(
     payload_shift_m=5e-3,
     joint_stiffness_scale=0.5,
     joint_friction_nm=2.0,
+    joint_backlash_deg=0.05,
+    joint_ripple_deg=0.01,
 )
 """Every error that varies from cell to cell of a world."""
 ODD_PEG = PlantErrors(peg_chamfer_m=0.3e-3, peg_rounding_m=0.2e-3, peg_oversize_m=0.05e-3, peg_taper_deg=0.2)

@@ -183,6 +183,36 @@ def test_a_joint_with_friction_stays_until_it_is_pushed_harder() -> None:
     assert moved[1] < 2e-4
 
 
+def test_a_gear_with_backlash_lets_a_drive_turn_before_its_link_follows() -> None:
+    world = worlds(1, joint_backlash_deg=0.2)
+    half = np.deg2rad(0.1)
+    readings(world, 100)
+    begin, drive, moved = world.joints[0, 0], world.joints, []
+    for turn in (half / 2, 3 * half, 1.5 * half, -half):
+        aim = drive.copy()
+        aim[:, 0] += turn
+        for _ in range(300):
+            world.drive(aim)
+        moved.append((world.joints[0, 0] - begin) / half)
+    assert moved == pytest.approx([0.0, 2.0, 2.0, 0.0], abs=0.02)
+
+
+def test_a_gear_with_ripple_is_off_by_a_wave_of_its_angle() -> None:
+    even, uneven = worlds(1), worlds(1, joint_ripple_deg=0.05)
+    readings(even, 100)
+    off = []
+    for wave in np.linspace(0.0, 2.0, 17):
+        aim = even.joints
+        aim[0, 0] = wave * 2.0 * np.pi / 202
+        for world in (even, uneven):
+            world.place(CELLS[:1], world.position, np.zeros(1))
+            for _ in range(300):
+                world.drive(aim)
+        off.append(uneven.joints[0, 0] - even.joints[0, 0])
+    wanted = np.deg2rad(0.05) * np.sin(2.0 * np.pi * np.linspace(0.0, 2.0, 17))
+    assert off == pytest.approx(wanted, abs=np.deg2rad(0.002))
+
+
 def test_softer_fingers_let_the_peg_tilt_further() -> None:
     angles = []
     for errors in ({}, {"finger_stiffness_scale": 0.5}):
