@@ -29,6 +29,8 @@ SETTINGS = f"""
 source_paths = ["service"]
 only_mutate = {json.dumps(MUTATED)}
 also_copy = {json.dumps(COPIED)}
+# a mutant may wait for ever: killed after three times the processor time of all its tests
+timeout_multiplier = 1.5
 pytest_add_cli_args = ["-p", "no:cacheprovider", "-p", "no:unraisableexception"]
 pytest_add_cli_args_test_selection = {json.dumps(TESTS)}
 """
