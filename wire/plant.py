@@ -48,7 +48,7 @@ class PlantErrors:
         payload_mass_scale: factor on the mass of gripper and peg, which the controller does not know.
         payload_shift_m: distance of the payload's centre from where the controller has it, across the tool.
         joint_stiffness_scale: factor on the stiffness of the joints' position loops; their damping ratio stays.
-        joint_friction_nm: Coulomb friction of every joint, N·m.
+        joint_friction_share: Coulomb friction of every joint, as a share of its rated torque.
         joint_backlash_deg: play of every joint's gear.
         joint_ripple_deg: amplitude of the uneven motion of every joint's gear.
         peg_chamfer_m: chamfer of 45° around the peg's bottom.
@@ -80,7 +80,7 @@ class PlantErrors:
     payload_mass_scale: float = _value(1.0, 0.5, 1.5)
     payload_shift_m: float = _value(0.0, 0.0, 50e-3)
     joint_stiffness_scale: float = _value(1.0, 0.1, 3.0)
-    joint_friction_nm: float = _value(0.0, 0.0, 10.0)
+    joint_friction_share: float = _value(0.0, 0.0, 0.3)
     joint_backlash_deg: float = _value(0.0, 0.0, 0.5)
     joint_ripple_deg: float = _value(0.0, 0.0, 0.1)
     peg_chamfer_m: float = _value(0.0, 0.0, 2e-3)

@@ -31,7 +31,7 @@ class Errors:
         payload_shift: (3,) the payload's centre relative to the one that is compensated, flange axes, m.
         finger_stiffness_scale: stiffness of the fingers, relative to nominal.
         joint_stiffness_scale: stiffness of the joints' position loops, relative to nominal.
-        joint_friction_nm: Coulomb friction of the joints.
+        joint_friction_share: Coulomb friction of the joints, relative to their rated torques.
         joint_backlash: play of the joints' gears, rad.
         joint_ripple: amplitude of their uneven motion, rad.
         target_jitter: (JITTERS,) further delay of the targets, in their order, ticks.
@@ -46,7 +46,7 @@ class Errors:
     payload_shift: FloatArray = field(default_factory=_nothing)
     finger_stiffness_scale: float = 1.0
     joint_stiffness_scale: float = 1.0
-    joint_friction_nm: float = 0.0
+    joint_friction_share: float = 0.0
     joint_backlash: float = 0.0
     joint_ripple: float = 0.0
     target_jitter: CellIndices = field(default_factory=partial(np.zeros, JITTERS, np.int64))
@@ -116,7 +116,7 @@ def errors_of(plant: PlantErrors, drawn: Directions, seed: int) -> Errors:
         payload_shift=plant.payload_shift_m * drawn.payload,
         finger_stiffness_scale=plant.finger_stiffness_scale,
         joint_stiffness_scale=plant.joint_stiffness_scale,
-        joint_friction_nm=plant.joint_friction_nm,
+        joint_friction_share=plant.joint_friction_share,
         joint_backlash=float(np.deg2rad(plant.joint_backlash_deg)),
         joint_ripple=float(np.deg2rad(plant.joint_ripple_deg)),
         target_jitter=jitter,

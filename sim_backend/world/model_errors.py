@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from mujoco.batch import Batch
 
-from sim_backend.world import errors, quaternion, scene
+from sim_backend.world import errors, kinematics, quaternion, scene
 from sim_backend.world.errors import Errors
 from wire.arrays import CellIndices, FloatArray
 
@@ -48,7 +48,7 @@ class ModelErrors:
         self._gain[cells, :, 0] = model.actuator_gainprm[:, 0] * stiffness
         self._bias[cells, :, 1] = model.actuator_biasprm[:, 1] * stiffness
         self._bias[cells, :, 2] = model.actuator_biasprm[:, 2] * np.sqrt(stiffness)
-        self._friction[cells, :6] = of("joint_friction_nm")[:, None]
+        self._friction[cells, :6] = of("joint_friction_share")[:, None] * kinematics.JOINT_TORQUE_NM
 
     def _begin(self) -> None:
         expand = self._batch.expand

@@ -25,7 +25,7 @@ EVERY = PlantErrors(
     payload_mass_scale=1.1,
     payload_shift_m=5e-3,
     joint_stiffness_scale=0.5,
-    joint_friction_nm=2.0,
+    joint_friction_share=0.02,
     joint_backlash_deg=0.05,
     joint_ripple_deg=0.01,
 )

@@ -170,12 +170,12 @@ def test_softer_joints_give_more_under_the_same_weight() -> None:
 
 
 def test_a_joint_with_friction_stays_until_it_is_pushed_harder() -> None:
-    free, rubbing = worlds(1), worlds(1, joint_friction_nm=5.0)
+    free, rubbing = worlds(1), worlds(1, joint_friction_share=0.1)
     moved = []
     for world in (free, rubbing):
         readings(world, 100)
         begin, set_points = world.joints, world._ctrl.copy()
-        set_points[:, 0] += 1e-3  # 3.5 N·m
+        set_points[:, 0] += 1e-3  # 3.5 of 5.4 N·m
         for _ in range(200):
             world.drive(set_points)
         moved.append(world.joints[0, 0] - begin[0, 0])
