@@ -169,6 +169,13 @@ def test_softer_joints_give_more_under_the_same_weight() -> None:
     assert give[1][:, 1:3] == pytest.approx(2.0 * give[0][:, 1:3], rel=0.05)
 
 
+def test_softer_joints_keep_their_damping_ratio() -> None:
+    stiff, soft = worlds(1).model(), worlds(1, joint_stiffness_scale=0.25).model()
+    ratios = [-model.actuator_biasprm[:, 2] / np.sqrt(model.actuator_gainprm[:, 0]) for model in (stiff, soft)]
+    assert ratios[1] == pytest.approx(ratios[0])
+    assert (soft.actuator_biasprm[:, 1] == -soft.actuator_gainprm[:, 0]).all()
+
+
 def test_a_joint_with_friction_stays_until_it_is_pushed_harder() -> None:
     free, rubbing = worlds(1), worlds(1, joint_friction_share=0.1)
     moved = []
@@ -195,6 +202,14 @@ def test_a_gear_with_backlash_lets_a_drive_turn_before_its_link_follows() -> Non
             world.drive(aim)
         moved.append((world.joints[0, 0] - begin) / half)
     assert moved == pytest.approx([0.0, 2.0, 2.0, 0.0], abs=0.02)
+
+
+def test_a_placed_arm_stands_in_the_middle_of_its_play() -> None:
+    world = worlds(1, joint_backlash_deg=0.2)
+    world.place(CELLS[:1], world.hole_position + 0.05 * UP, np.full(1, 0.5))
+    begin = world.joints
+    world.tick()  # the set-point that carries the payload lies within the play
+    assert world._ctrl == pytest.approx(begin, abs=1e-9)
 
 
 def test_a_gear_with_ripple_is_off_by_a_wave_of_its_angle() -> None:

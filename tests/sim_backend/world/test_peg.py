@@ -67,6 +67,11 @@ def test_a_chamfered_peg_enters_where_a_sharp_one_stands_on_the_rim() -> None:
     assert touch("tr", shape, beside[1]) == pytest.approx(-0.1e-3, abs=5e-6)
 
 
+def test_a_chamfer_larger_than_the_rounding_ends_in_sharp_corners() -> None:
+    found = vertices(PARTS["tr"], PegShape(chamfer_m=0.3e-3, rounding_m=0.2e-3))
+    assert found[found[:, 2] == 0.0][:, :2] == pytest.approx(offset(PARTS["tr"].outline, -0.3e-3))
+
+
 def test_a_tapered_peg_gets_stuck_as_it_goes_down() -> None:
     shape = PegShape(taper_deg=1.0)
     places = [towards_wall("tr", C - 0.03e-3, depth) for depth in (1e-3, 5e-3)]
