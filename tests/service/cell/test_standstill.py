@@ -77,6 +77,12 @@ def test_nothing_is_awaited_before_a_stop_and_after_its_end(arm: Arm, standstill
     assert arm.told == []
 
 
+def test_an_arm_that_is_engaged_before_any_stop_is_told_a_plain_one(arm: Arm, standstill: Standstill) -> None:
+    for _ in range(STOP_AGAIN_TICKS):
+        standstill.repeat_stop(arm.sample(Program.ENGAGED))  # type: ignore[arg-type]
+    assert arm.told == ["stop"]
+
+
 def test_an_arm_that_rests_is_confirmed(arm: Arm, standstill: Standstill) -> None:
     standstill.begin()
     assert after(0.1, standstill, arm, Program.IDLE, STILL) is StopState.CONFIRMED
