@@ -212,4 +212,4 @@ def _task(run: Run, recipe: RecipeSection) -> Task | None:
     """Return the episode that a simulated world lays out for a run; the driver checks it. None on a real arm."""
     if run.seed is None:
         return None
-    return Task(run.seed, cast("Part", recipe.part), recipe.clearance_m, recipe.conditions)
+    return Task(run.seed, cast("Part", recipe.part), recipe.clearance_m, recipe.conditions, plant=recipe.plant)

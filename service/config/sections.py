@@ -3,13 +3,14 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from service.config.fields import CommonName, Endpoint, Force, Host, Name, Port, Position, Section, Turn, count, number
 from wire.endpoints import DEFAULT_ENDPOINT, DEFAULT_WORLD
 from wire.impact import IMPACT_SHARE
 from wire.limits import FORCE_HARD_MAXIMUM_N
 from wire.modes import LockMode, TimeMode
+from wire.plant import PlantErrors
 from wire.task import Conditions
 
 
@@ -32,6 +33,9 @@ class CellSection(Section):
     realtime: bool | None = None
 
 
+PlantField = Annotated[PlantErrors, BeforeValidator(PlantErrors.from_json), WithJsonSchema({"type": "object"})]
+
+
 class RecipeSection(Section):
     """One insertion: its part, its policy and its poses. The policy's contract has the compliance law.
 
@@ -51,6 +55,7 @@ class RecipeSection(Section):
         success_depth_m: depth of the peg's bottom below the surface that counts as inserted.
         retract: whether the tool moves up at the end of a run; otherwise it stays where the run ended.
         conditions: distributions from which a simulated world is drawn.
+        plant: errors of a simulated world's plant, by their names in `wire.plant`.
         allow_lock: modes of the safety lock that the policy may use.
     """
 
@@ -71,6 +76,9 @@ class RecipeSection(Section):
     success_depth_m: Annotated[float, number(1e-3, 0.05, "a tilted peg on the rim; deeper than pegs are long")] = 3.0e-3
     retract: bool = True
     conditions: Conditions = "standard"
+    plant: Annotated[PlantErrors, BeforeValidator(PlantErrors.from_json), WithJsonSchema({"type": "object"})] | None = (
+        None
+    )
     allow_lock: Annotated[tuple[LockMode, ...], Field(min_length=1)] = ("paper",)
 
     def bears_n(self, cell_ceiling_n: float) -> float:

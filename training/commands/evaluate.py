@@ -91,8 +91,8 @@ def evaluate(
         refuse("evaluate", "the service runs a policy under its own lock: --lock goes with --through environment")
     if lock and lock not in get_args(LockMode):
         refuse("evaluate", f"--lock must be one of {', '.join(get_args(LockMode))}, not {lock!r}")
-    if panel and (plan or record or through != "environment"):
-        refuse("evaluate", "--panel goes with neither --plan nor --record, and with --through environment alone")
+    if panel and (plan or record):
+        refuse("evaluate", "--panel goes with neither --plan nor --record")
     try:
         policy = Policy.load(model)
         plants = panels.load(panel) if panel else None

@@ -156,7 +156,7 @@ def play_service(request: dict[str, Any]) -> dict[str, Any]:
 
     The true depth is left out: the arm stands under force while it is asked, for a time that differs.
     """
-    setting = module("results").Setting(**request["setting"])
+    setting = module("results").Block.model_validate({"setting": request["setting"]}).setting
     played = module("through_service").play(Path(request["model"]), request["seeds"], setting)
     return {"names": [], "episodes": [{"result": asdict(episode.result), "steps": []} for episode in played]}
 

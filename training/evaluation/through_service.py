@@ -213,6 +213,8 @@ def _configuration(
         }
         | ({} if sha256 is None else {"policy_sha256": sha256}),
     }
+    if setting.plant is not None:
+        sections[f"recipes.{RECIPE}.plant"] = setting.plant.to_json()
     if over_rtde:
         sections["ur"] = {
             "host": HOST,
@@ -281,7 +283,7 @@ def judged(truth: dict[str, Any], seed: int, setting: Setting, run: Run) -> Serv
     Raises:
         ServiceError: the world was laid out for another task.
     """
-    asked = Task(seed, setting.part, setting.clearance_m, setting.conditions).to_json()
+    asked = Task(seed, setting.part, setting.clearance_m, setting.conditions, plant=setting.plant).to_json()
     played: dict[str, Any] = truth["task"]
     differing = [name for name in asked if played[name] != asked[name]]
     if differing:

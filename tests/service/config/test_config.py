@@ -6,6 +6,7 @@ import pytest
 from service.config import PATH_VARIABLE, CellConfig, ConfigError, RecipeSection, find, load
 from tests.conftest import REALTIME_VARIABLE
 from wire.limits import FORCE_HARD_MAXIMUM_N
+from wire.plant import PlantErrors
 from wire.task import Conditions
 
 SHIPPED = Path(__file__).parents[3] / "config" / "cell.toml"
@@ -183,6 +184,15 @@ def test_the_schema_names_every_section() -> None:
 
 def test_a_recipe_may_ask_for_every_set_of_conditions_that_a_world_has() -> None:
     assert get_args(RecipeSection.model_fields["conditions"].annotation) == get_args(Conditions)
+
+
+def test_a_recipe_names_the_errors_of_its_simulated_plant(tmp_path: Path) -> None:
+    text = "[recipes.triangle-2mm]\nplant = { hole_tilt_deg = 1.0 }"
+    assert load(written(tmp_path, "[recipes.triangle-2mm]", text)).recipes["triangle-2mm"].plant == PlantErrors(
+        hole_tilt_deg=1.0
+    )
+    with pytest.raises(ConfigError, match=r"plant\.hole_tilt_deg must be a number from 0 to 5, not 6\.0"):
+        load(written(tmp_path, "[recipes.triangle-2mm]", text.replace("1.0", "6.0")))
 
 
 @pytest.mark.parametrize(

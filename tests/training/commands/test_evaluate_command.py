@@ -248,7 +248,7 @@ def test_the_panel_is_measured_line_by_line_on_the_same_seeds(here: Path, played
     assert len(played) == len(lines)
 
 
-@pytest.mark.parametrize("other", [["--plan", "table-1"], ["--record"], ["--through", "zenoh"]])
+@pytest.mark.parametrize("other", [["--plan", "table-1"], ["--record"]])
 def test_a_panel_goes_alone(here: Path, other: list[str]) -> None:
     assert "--panel goes with neither" in refused("model.onnx", "--panel", "plant", *other)
 

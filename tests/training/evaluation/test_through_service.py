@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ from training.environment.insertion import SUCCESS_DEPTH_M
 from training.evaluation import through_service
 from training.evaluation.evaluate import Job
 from training.evaluation.results import Setting, Through
+from wire.plant import PlantErrors
 from wire.task import Task
 
 SEEDS = [1_000_000, 1_000_001]
@@ -58,6 +60,13 @@ def test_the_same_seeds_can_be_played_on_an_emulated_ur_controller(model_path: P
 
 
 @pytest.mark.timeout(300)
+@pytest.mark.parametrize("through", ["zenoh", "rtde"])
+def test_the_world_behind_the_service_has_the_errors_of_the_settings_plant(model_path: Path, through: Through) -> None:
+    plant = PlantErrors(hole_tilt_deg=1.0, tcp_shift_m=1e-3, ft_gain_error=0.1, peg_chamfer_m=0.3e-3)
+    check(through_service.play(model_path, SEEDS[:1], replace(setting(through), plant=plant)), SEEDS[:1])
+
+
+@pytest.mark.timeout(300)
 def test_a_run_whose_service_dies_is_kept_as_a_failure_and_ends_the_measurement(
     model_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -78,6 +87,9 @@ def test_a_world_that_was_laid_out_for_something_else_is_not_judged() -> None:
     played = Task(7, asked.part, asked.clearance_m, asked.conditions).to_json()
     at_the_limit = {"task": played, "depth": SUCCESS_DEPTH_M, "contained": True}
     assert through_service.judged(at_the_limit, 7, asked, run).inserted
+    tilted = replace(asked, plant=PlantErrors(hole_tilt_deg=1.0))
+    with pytest.raises(through_service.ServiceError, match="the simulator played another task: plant None where"):
+        through_service.judged(at_the_limit, 7, tilted, run)
     latched = Run.model_construct(state=RunState.LATCHED)
     assert not through_service.judged(at_the_limit, 7, asked, latched).inserted
     for name, value in (("seed", 8), ("part", "cir"), ("clearance_m", 2e-3), ("conditions", "standard")):
