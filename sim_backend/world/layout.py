@@ -87,6 +87,7 @@ class Layout:
 
     def in_hole(self, points: FloatArray) -> FloatArray:
         """Return points (n, 3), base frame, in the frames of the holes, (n, 3), m."""
-        x, y, z = product(self._untilt, points - self.block_position).T
+        beside = points - self.block_position
+        x, y, z = (product(self._untilt, beside) if self._tilt.any() else beside).T
         cosine, sine = self._turn
         return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)
