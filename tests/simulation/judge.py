@@ -157,9 +157,10 @@ class Judge:
         stop = self._stop
         if stop is None or stop.received_s is None:
             return
-        start = next((a for a in self.universe.answers if a.kind == "start" and a.name == self._driving), None)
-        if start is not None and start.sent_s > stop.sent_s:
-            return  # it may have been received after the stop
+        answers = self.universe.answers
+        start = next((a for a in answers if a.kind == "start" and a.name == self._driving), None)
+        if start is not None and answers.index(start) > answers.index(stop):
+            return  # sent after the stop, were it in the same instant: it may have been received after it
         confirmed = stop.status == 200
         if confirmed or self._world_s - self._stopped_s > BRAKING_S:
             text = f"the stop was answered {now - stop.received_s:.3f} s ago, {self._driving} moves the arm"
