@@ -73,6 +73,7 @@ EXPLAINED = (
         "reset",
     ),
     Rule("the first sample sets it, whatever it was", r"self\._(since|felt|equal)\b.* = (\[1\] \* 6|\[\]|0) →", "init"),
+    Rule("nothing equals what is no number, however often it stands there", r"\[nan\] \* 6 →", "Repeats.*init"),
     Rule(
         "a damping ratio or a difference that meets its limit to the last bit",
         r"→ .*<= (FREE|CONTACT)_DAMPING_RATIO|→ .*apart <= self\._limit",

@@ -151,6 +151,21 @@ def test_64_channels_that_do_not_change_by_a_bit_are_stuck_after_their_number_of
         assert f"channel {['Fx', 'Fy', 'Fz', 'Tx', 'Ty', 'Tz'][channels[0]]} " in verdicts[-1].text
 
 
+def test_64_a_channel_that_changes_is_counted_anew_from_one_while_another_repeats(source: Source) -> None:
+    noisy = [row.copy() for row in NOISE[:10]]
+    noisy[1][1] = noisy[0][1]  # the other channel repeats in the sample in which this one takes its new value
+    for row in noisy[1:9]:
+        row[0] = 0.25
+    verdicts = [source.send(row) for row in noisy[:9]]
+    assert [verdict.fault for verdict in verdicts] == [None] * 8 + [FaultCode.SENSOR_STUCK]
+    assert verdicts[-1].measured == 8
+
+
+def test_the_force_that_is_told_is_of_the_three_forces_alone(source: Source) -> None:
+    assert source.send([2.0, 3.0, 6.0, 1.5, 0.5, 0.25]).fault is None
+    assert source.monitor.force_n == source.monitor.peak_force_n == 7.0
+
+
 def test_one_channel_may_have_the_limit_of_all() -> None:
     assert replace(LIMITS, stuck_channel_samples=LIMITS.stuck_samples).stuck_channel_samples == LIMITS.stuck_samples
 
