@@ -5,23 +5,10 @@ from typing import Any
 
 import pytest
 
-from service.cell.arm_stops import why_not_drive
+from service.cell.arm_stops import ARM_STOPS, why_not_drive
 from service.cell.orders import Halt
 from service.drivers.base import Program, RobotMode, SafetyMode, StopReason
 from service.faults import FaultCode
-
-STOPPED_BY_ITSELF = {
-    StopReason.NONE: FaultCode.LINK,
-    StopReason.COMMAND: FaultCode.AUTHORITY,
-    StopReason.FORCE_CEILING: FaultCode.FORCE_CEILING,
-    StopReason.TARGET_AGE: FaultCode.LINK,
-    StopReason.TARGET_REJECTED: FaultCode.BOUNDS,
-    StopReason.JOINT_LIMIT: FaultCode.KINEMATICS,
-    StopReason.KINEMATICS: FaultCode.KINEMATICS,
-    StopReason.PROTECTIVE_FORCE: FaultCode.PROTECTIVE_STOP,
-    StopReason.LEASE: FaultCode.AUTHORITY,
-    StopReason.PROGRAM_ENDED: FaultCode.AUTHORITY,
-}
 
 
 def judged(*, engaged: bool, **state: Any) -> Halt | None:
@@ -64,7 +51,7 @@ def test_35_an_arm_in_another_mode_is_not_ours(engaged: bool, modes: dict[str, i
 def test_an_arm_that_stopped_by_itself_says_why(reason: StopReason) -> None:
     halt = judged(engaged=True, program=Program.IDLE, stop_reason=reason)
     assert halt is not None
-    assert halt.code is STOPPED_BY_ITSELF[reason]
+    assert halt.code is ARM_STOPS[reason]
     said, _, cause = halt.text.partition(" (")
     assert said == f"the arm's controller stopped by itself: {reason.name}"
     assert ("this host was late" in cause) == (reason is StopReason.PROGRAM_ENDED)
