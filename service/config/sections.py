@@ -76,9 +76,7 @@ class RecipeSection(Section):
     success_depth_m: Annotated[float, number(1e-3, 0.05, "a tilted peg on the rim; deeper than pegs are long")] = 3.0e-3
     retract: bool = True
     conditions: Conditions = "standard"
-    plant: Annotated[PlantErrors, BeforeValidator(PlantErrors.from_json), WithJsonSchema({"type": "object"})] | None = (
-        None
-    )
+    plant: PlantField | None = None
     allow_lock: Annotated[tuple[LockMode, ...], Field(min_length=1)] = ("paper",)
 
     def bears_n(self, cell_ceiling_n: float) -> float:

@@ -38,7 +38,7 @@ def said_blind(faulty: FaultyBench) -> list[float]:
 
 
 def faults(faulty: FaultyBench) -> list[tuple[CellState, FaultCode | None, str, str | None]]:
-    """What was told of faults: state, code, text, run."""
+    """Return the state, code, text and run of every fault event, oldest first."""
     told = [event for event in faulty.bench.events if event.kind is EventKind.FAULT]
     return [(event.state, event.code, event.text, event.run_id) for event in told]
 
